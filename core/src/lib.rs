@@ -1,0 +1,3 @@
+//! Ground embedding for monocular depth.
+#![no_std]
+#![forbid(unsafe_code)]

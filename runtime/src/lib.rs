@@ -1,0 +1,1 @@
+//! Runs quantized GEDepth networks on the CPU.

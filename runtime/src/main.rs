@@ -1,0 +1,2 @@
+//! The `gedepth` command.
+fn main() {}
