@@ -1,0 +1,303 @@
+//! Fusion: `depth = M z_ground + (1 - M) z_residual`, in one pass, row by row.
+//!
+//! # Inputs
+//!
+//! - The ground, from any [`GroundRows`]: inverse planar depth of every output pixel.
+//! - Head maps ([`HeadMap`]): planar, row-major, `f32` or 8-bit with scale and zero point, of any size; they are
+//!   upsampled bilinearly to the output's size. What their values mean is said beside each: [`ResidualHead`],
+//!   [`AttentionHead`], [`SlopeHead`].
+//!
+//! # Order of decoding and upsampling
+//!
+//! Exponentials, sigmoids and softmax are taken either at the head's own size, before upsampling
+//! ([`DecodeAt::HeadSize`]: 4 to 16 times cheaper), or at the output's size after it ([`DecodeAt::OutputSize`]: what
+//! networks trained the reference's way expect). For the slope, `HeadSize` upsamples the *tangent of the expected
+//! angle*. Where heads already have the output's size both are the same.
+//!
+//! # Output
+//!
+//! Planar depth in metres, row-major, clamped to a [`DepthRange`]; never NaN. Where there is no ground `z_ground` is 0,
+//! as the network saw it in training. Same input, same bytes, on every processor: only plain additions and
+//! multiplications in a fixed order, no fused ones.
+//!
+//! # Speed
+//!
+//! Every function on the way is `#[inline(always)]`, so that a caller with `#[target_feature]` gets a copy compiled for
+//! its vectors. Scratch memory is the caller's: [`scratch_len`].
+//!
+//! # Errors and panics
+//!
+//! Lengths and non-finite head values are errors; after an error outputs hold a part of the picture. Nothing panics.
+
+mod decode;
+mod head;
+mod upsample;
+
+pub use head::{
+    AttentionHead, AttentionUnit, DecodeAt, HeadMap, ResidualHead, ResidualUnit, Samples, SlopeHead,
+};
+pub use upsample::Upsampling;
+
+pub use crate::error::Head;
+pub(crate) use decode::exp;
+
+use crate::Error;
+use crate::camera::ImageSize;
+use crate::table::{GroundRows, MIN_INVERSE_DEPTH};
+use decode::Plane;
+
+/// The range that output depths are clamped to, metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthRange {
+    min: f32,
+    max: f32,
+}
+
+impl DepthRange {
+    /// From `min` to `max`, metres.
+    ///
+    /// # Errors
+    /// [`Error::DepthRange`] unless `0 < min < max`, both finite.
+    pub const fn new(min: f32, max: f32) -> Result<Self, Error> {
+        if !(0.0 < min && min < max && max < f32::INFINITY) {
+            return Err(Error::DepthRange { min, max });
+        }
+        Ok(Self { min, max })
+    }
+
+    /// The least depth, metres.
+    pub const fn min(self) -> f32 {
+        self.min
+    }
+
+    /// The largest depth, metres.
+    pub const fn max(self) -> f32 {
+        self.max
+    }
+}
+
+/// What all modes have in common.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fusion {
+    upsampling: Upsampling,
+    depth: DepthRange,
+    /// 1/m: the inverse depth of the farthest ground.
+    ground_floor: f32,
+}
+
+/// Where results go: slices of the output's pixels, row-major.
+#[derive(Debug, Default)]
+pub struct FusedMaps<'a> {
+    /// Depth, metres.
+    pub depth: &'a mut [f32],
+    /// M, the attention upsampled, 0 to 1, if wanted.
+    pub attention: Option<&'a mut [f32]>,
+    /// The ground depth that went into the fusion (adaptive where the mode is), metres, 0 for none, if wanted.
+    pub ground: Option<&'a mut [f32]>,
+}
+
+/// Scratch values that any mode needs for this output, heads of at most the width `head_width` and this many slope
+/// classes (0 where there is no slope head).
+pub const fn scratch_len(output: ImageSize, head_width: u32, slope_classes: usize) -> usize {
+    let (out, head) = (output.width() as usize, head_width as usize);
+    // Rows of ground, attention and tangents; the residual is made in the output.
+    let rows = 3 * out;
+    let planes = 2 * upsample::scratch_len(1, head, out);
+    let slope = if slope_classes > 0 {
+        decode::slope_scratch_len(slope_classes, head, out)
+    } else {
+        0
+    };
+    rows + planes + slope
+}
+
+impl Fusion {
+    /// Fusion that upsamples heads like this, clamps depth to this range, and takes ground farther than `ground_limit`
+    /// metres for none (the cut that the network's ground channel had in training).
+    ///
+    /// # Errors
+    /// [`Error::GroundLimit`] if `ground_limit` is not positive and finite.
+    pub fn new(
+        upsampling: Upsampling,
+        depth: DepthRange,
+        ground_limit: f32,
+    ) -> Result<Self, Error> {
+        let ground_floor = 1.0 / ground_limit;
+        if !(ground_limit > 0.0 && ground_limit.is_finite() && ground_floor.is_finite()) {
+            return Err(Error::GroundLimit(ground_limit));
+        }
+        Ok(Self {
+            upsampling,
+            depth,
+            ground_floor: ground_floor.max(MIN_INVERSE_DEPTH),
+        })
+    }
+
+    /// Baseline: the residual is the depth. `depth` has `output.pixels()` values.
+    ///
+    /// # Errors
+    /// [`Error::HeadChannels`], [`Error::HeadNotFinite`], [`Error::OutputLength`], [`Error::ScratchLength`].
+    #[inline(always)]
+    pub fn baseline(
+        &self,
+        output: ImageSize,
+        residual: &ResidualHead<'_>,
+        scratch: &mut [f32],
+        depth: &mut [f32],
+    ) -> Result<(), Error> {
+        check_output(output, depth)?;
+        let mut scratch = Scratch::new(scratch);
+        let mut residual = Plane::residual(residual, self.upsampling, output, &mut scratch)?;
+        for (v, depth) in (0..).zip(depth.chunks_exact_mut(output.width() as usize)) {
+            residual.row(v, depth)?;
+            for depth in depth {
+                *depth = depth.max(self.depth.min).min(self.depth.max);
+            }
+        }
+        Ok(())
+    }
+
+    /// Vanilla: ground depth from the plane.
+    ///
+    /// # Errors
+    /// [`Error::HeadChannels`], [`Error::HeadNotFinite`], [`Error::OutputLength`], [`Error::ScratchLength`],
+    /// [`Error::GroundRow`] from the ground source.
+    #[inline(always)]
+    pub fn vanilla<G: GroundRows + ?Sized>(
+        &self,
+        ground: &G,
+        residual: &ResidualHead<'_>,
+        attention: &AttentionHead<'_>,
+        scratch: &mut [f32],
+        maps: FusedMaps<'_>,
+    ) -> Result<(), Error> {
+        let mut scratch = Scratch::new(scratch);
+        self.fuse(ground, residual, attention, &mut scratch, maps, |_, _| {
+            Ok(())
+        })
+    }
+
+    /// Adaptive: ground depth from the plane and the expected slope,
+    /// `1 / z_slope = 1 / z_plane - tan(alpha) / H`.
+    ///
+    /// # Errors
+    /// As [`Self::vanilla`], and [`Error::SlopeLogitCount`] if the slope head has more or fewer channels than classes.
+    #[inline(always)]
+    pub fn adaptive<G: GroundRows + ?Sized, const N: usize>(
+        &self,
+        ground: &G,
+        residual: &ResidualHead<'_>,
+        attention: &AttentionHead<'_>,
+        slope: &SlopeHead<'_, N>,
+        scratch: &mut [f32],
+        maps: FusedMaps<'_>,
+    ) -> Result<(), Error> {
+        let output = ground.size();
+        let mut scratch = Scratch::new(scratch);
+        let tangents = scratch.take(output.width() as usize)?;
+        let mut tangent = decode::SlopeTangent::new(slope, self.upsampling, output, &mut scratch)?;
+        let per_height = 1.0 / ground.camera_height();
+        self.fuse(
+            ground,
+            residual,
+            attention,
+            &mut scratch,
+            maps,
+            |v, inverse| {
+                tangent.row(v, tangents)?;
+                for (inverse, tangent) in inverse.iter_mut().zip(tangents.iter()) {
+                    *inverse -= tangent * per_height;
+                }
+                Ok(())
+            },
+        )
+    }
+
+    /// Fuses row by row; `slope` turns the plane's inverse depths of a row into the sloped ground's.
+    #[inline(always)]
+    fn fuse<'s, G: GroundRows + ?Sized>(
+        &self,
+        ground: &G,
+        residual: &ResidualHead<'_>,
+        attention: &AttentionHead<'_>,
+        scratch: &mut Scratch<'s>,
+        mut maps: FusedMaps<'_>,
+        mut slope: impl FnMut(u32, &mut [f32]) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let output = ground.size();
+        let width = output.width() as usize;
+        check_output(output, maps.depth)?;
+        for map in [&maps.attention, &maps.ground].into_iter().flatten() {
+            check_output(output, map)?;
+        }
+        let mut residual = Plane::residual(residual, self.upsampling, output, scratch)?;
+        let mut attention = Plane::attention(attention, self.upsampling, output, scratch)?;
+        let ground_row = scratch.take(width)?;
+        let attention_row = scratch.take(width)?;
+        for (v, depth_row) in (0..).zip(maps.depth.chunks_exact_mut(width)) {
+            ground.write_row(v, ground_row)?;
+            slope(v, ground_row)?;
+            residual.row(v, depth_row)?;
+            attention.row(v, attention_row)?;
+            for ((depth, ground), m) in depth_row
+                .iter_mut()
+                .zip(ground_row.iter_mut())
+                .zip(attention_row.iter())
+            {
+                let z = if *ground >= self.ground_floor {
+                    1.0 / *ground
+                } else {
+                    0.0
+                };
+                *ground = z;
+                *depth = (*depth + m * (z - *depth))
+                    .max(self.depth.min)
+                    .min(self.depth.max);
+            }
+            let row = v as usize * width..(v as usize + 1) * width;
+            if let Some(map) = maps.attention.as_mut().and_then(|m| m.get_mut(row.clone())) {
+                map.copy_from_slice(attention_row);
+            }
+            if let Some(map) = maps.ground.as_mut().and_then(|m| m.get_mut(row)) {
+                map.copy_from_slice(ground_row);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_output(size: ImageSize, map: &[f32]) -> Result<(), Error> {
+    if map.len() != size.pixels() {
+        return Err(Error::OutputLength {
+            needed: size.pixels(),
+            given: map.len(),
+        });
+    }
+    Ok(())
+}
+
+/// Hands out pieces of the caller's scratch memory.
+struct Scratch<'s> {
+    free: &'s mut [f32],
+    given: usize,
+}
+
+impl<'s> Scratch<'s> {
+    fn new(free: &'s mut [f32]) -> Self {
+        let given = free.len();
+        Self { free, given }
+    }
+
+    fn take(&mut self, length: usize) -> Result<&'s mut [f32], Error> {
+        let free = core::mem::take(&mut self.free);
+        let used = self.given - free.len();
+        let (piece, rest) = free
+            .split_at_mut_checked(length)
+            .ok_or(Error::ScratchLength {
+                needed: used.saturating_add(length),
+                given: self.given,
+            })?;
+        self.free = rest;
+        Ok(piece)
+    }
+}

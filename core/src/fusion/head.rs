@@ -1,0 +1,195 @@
+//! What a network hands over: maps, and what their values mean.
+
+use crate::Error;
+use crate::camera::ImageSize;
+use crate::slope::SlopeClasses;
+
+/// The values of a head, planar: all of channel 0, row-major, then all of channel 1, and so on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Samples<'a> {
+    /// As they are.
+    F32(&'a [f32]),
+    /// Quantized: `(value - zero_point) * scale`.
+    U8 {
+        /// Quantized values.
+        values: &'a [u8],
+        /// Step; positive.
+        scale: f32,
+        /// The value that stands for 0.
+        zero_point: u8,
+    },
+    /// Quantized: `(value - zero_point) * scale`.
+    I8 {
+        /// Quantized values.
+        values: &'a [i8],
+        /// Step; positive.
+        scale: f32,
+        /// The value that stands for 0.
+        zero_point: i8,
+    },
+}
+
+/// A head's map: `channels` planes of `size`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeadMap<'a> {
+    samples: Samples<'a>,
+    channels: usize,
+    size: ImageSize,
+}
+
+impl<'a> HeadMap<'a> {
+    /// A map of `channels` planes, each of `size`, in NCHW order with N = 1.
+    ///
+    /// # Errors
+    /// [`Error::HeadLength`] if the number of values is not `channels * size.pixels()`,
+    /// [`Error::QuantizationScale`] if a scale is not positive and finite.
+    pub fn new(samples: Samples<'a>, channels: usize, size: ImageSize) -> Result<Self, Error> {
+        let (given, scale) = match samples {
+            Samples::F32(values) => (values.len(), 1.0),
+            Samples::U8 { values, scale, .. } => (values.len(), scale),
+            Samples::I8 { values, scale, .. } => (values.len(), scale),
+        };
+        let needed = channels.saturating_mul(size.pixels());
+        if given != needed {
+            return Err(Error::HeadLength { needed, given });
+        }
+        if !(scale > 0.0 && scale.is_finite()) {
+            return Err(Error::QuantizationScale(scale));
+        }
+        Ok(Self {
+            samples,
+            channels,
+            size,
+        })
+    }
+
+    /// Planes.
+    pub const fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// The size of each plane.
+    pub const fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// Errs unless there is exactly one channel.
+    pub(super) fn single(&self) -> Result<(), Error> {
+        if self.channels != 1 {
+            return Err(Error::HeadChannels {
+                given: self.channels,
+            });
+        }
+        Ok(())
+    }
+
+    /// Writes row `y` of a channel as numbers, `row` having the map's width; false if any is NaN or infinite.
+    #[inline(always)]
+    pub(super) fn read_row(&self, channel: usize, y: u32, row: &mut [f32]) -> bool {
+        let width = self.size.width() as usize;
+        let start = channel * self.size.pixels() + y as usize * width;
+        let range = start..start + width;
+        match self.samples {
+            Samples::F32(values) => {
+                let Some(values) = values.get(range) else {
+                    return false;
+                };
+                // Exponents of all ones are NaN and infinity; integer ORs vectorize where float tests would not.
+                const EXPONENT: u32 = 0x7f80_0000;
+                let mut bad = 0;
+                for (out, value) in row.iter_mut().zip(values) {
+                    *out = *value;
+                    bad |= u32::from(value.to_bits() & EXPONENT == EXPONENT);
+                }
+                bad == 0
+            }
+            Samples::U8 {
+                values,
+                scale,
+                zero_point,
+            } => {
+                let Some(values) = values.get(range) else {
+                    return false;
+                };
+                for (out, value) in row.iter_mut().zip(values) {
+                    *out = (i32::from(*value) - i32::from(zero_point)) as f32 * scale;
+                }
+                // A step near the largest number may overflow.
+                scale < f32::MAX / 256.0
+            }
+            Samples::I8 {
+                values,
+                scale,
+                zero_point,
+            } => {
+                let Some(values) = values.get(range) else {
+                    return false;
+                };
+                for (out, value) in row.iter_mut().zip(values) {
+                    *out = (i32::from(*value) - i32::from(zero_point)) as f32 * scale;
+                }
+                scale < f32::MAX / 256.0
+            }
+        }
+    }
+}
+
+/// Where a head's values become depth, attention or slope: before upsampling or after it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DecodeAt {
+    /// At the head's size; what is upsampled is metres, M, or the tangent of the expected slope.
+    HeadSize,
+    /// At the output's size; what is upsampled is the head's raw values, logits among them.
+    OutputSize,
+}
+
+/// What a residual head's values are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ResidualUnit {
+    /// Metres.
+    Metres,
+    /// Natural logarithm of metres.
+    LogMetres,
+}
+
+/// What an attention head's values are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AttentionUnit {
+    /// Logits: `M = 1 / (1 + exp(-value))`.
+    Logit,
+    /// M itself; clamped to 0 to 1.
+    Probability,
+}
+
+/// The residual depth: one channel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ResidualHead<'a> {
+    /// The values; beyond +-1e6 m they are clamped to that.
+    pub map: HeadMap<'a>,
+    /// What they are.
+    pub unit: ResidualUnit,
+    /// Where they are decoded.
+    pub decode_at: DecodeAt,
+}
+
+/// The ground attention M: one channel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AttentionHead<'a> {
+    /// The values.
+    pub map: HeadMap<'a>,
+    /// What they are.
+    pub unit: AttentionUnit,
+    /// Where they are decoded.
+    pub decode_at: DecodeAt,
+}
+
+/// The slope logits: one channel a class, in the order of `classes`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SlopeHead<'a, const N: usize = 64> {
+    /// The logits.
+    pub map: HeadMap<'a>,
+    /// Their angles.
+    pub classes: &'a SlopeClasses<N>,
+    /// Where softmax, expectation and tangent are taken.
+    pub decode_at: DecodeAt,
+}

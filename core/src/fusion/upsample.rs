@@ -1,0 +1,215 @@
+//! Bilinear upsampling, one output row at a time, that decodes each source row once.
+
+use super::Scratch;
+use crate::Error;
+use crate::camera::ImageSize;
+use crate::scalar::floor;
+
+/// Where the samples of a resized map lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Upsampling {
+    /// Corners of the picture's area stay corners: `source = (target + 0.5) in / out - 0.5` (PyTorch and ONNX
+    /// `half_pixel`, `align_corners` off). The same convention as [`crate::camera::Pixel`].
+    HalfPixel,
+    /// Centres of corner pixels stay centres: `source = target (in - 1) / (out - 1)` (`align_corners` on).
+    AlignCorners,
+}
+
+impl Upsampling {
+    /// The source samples before and after `target`, and the share of the latter.
+    fn sample(self, target: u32, input: u32, output: u32) -> (u32, u32, f32) {
+        let (i, n, m) = (f64::from(target), f64::from(input), f64::from(output));
+        let source = match self {
+            Self::HalfPixel => (i + 0.5) * n / m - 0.5,
+            Self::AlignCorners if output > 1 => i * (n - 1.0) / (m - 1.0),
+            Self::AlignCorners => 0.0,
+        };
+        let source = source.clamp(0.0, n - 1.0);
+        let before = floor(source);
+        let after = (before as u32 + 1).min(input - 1);
+        (before as u32, after, (source - before) as f32)
+    }
+}
+
+/// Scratch that an upsampler of so many channels takes: two source rows of each, the mixture of two, and two numbers for
+/// each output column.
+pub(super) const fn scratch_len(channels: usize, input_width: usize, output_width: usize) -> usize {
+    (2 * channels + 1) * input_width + 2 * output_width
+}
+
+/// How columns are upsampled.
+enum Columns<'s> {
+    /// Not at all.
+    Same,
+    /// Half-pixel, twice.
+    Twice,
+    /// Half-pixel, four times.
+    FourTimes,
+    /// Any way: the bits of the source column before, and the share of the one after.
+    Any {
+        before: &'s mut [f32],
+        share: &'s mut [f32],
+    },
+}
+
+/// Planes on their way from their own size to the output's, row by row; a row holds the rows of all channels, one after
+/// the other.
+pub(super) struct Upsampler<'s> {
+    upsampling: Upsampling,
+    input: ImageSize,
+    output: ImageSize,
+    columns: Columns<'s>,
+    /// Decoded source rows; row y is kept in slot y % 2.
+    rows: [&'s mut [f32]; 2],
+    held: [Option<u32>; 2],
+    mixed: &'s mut [f32],
+}
+
+impl<'s> Upsampler<'s> {
+    pub(super) fn new(
+        upsampling: Upsampling,
+        channels: usize,
+        input: ImageSize,
+        output: ImageSize,
+        scratch: &mut Scratch<'s>,
+    ) -> Result<Self, Error> {
+        let (from, to) = (input.width(), output.width());
+        let columns = if from == to {
+            Columns::Same
+        } else if upsampling == Upsampling::HalfPixel && to == 2 * from {
+            Columns::Twice
+        } else if upsampling == Upsampling::HalfPixel && to == 4 * from {
+            Columns::FourTimes
+        } else {
+            let before = scratch.take(to as usize)?;
+            let share = scratch.take(to as usize)?;
+            for ((u, before), share) in (0..).zip(before.iter_mut()).zip(share.iter_mut()) {
+                let (column, _, weight) = upsampling.sample(u, from, to);
+                *before = f32::from_bits(column);
+                *share = weight;
+            }
+            Columns::Any { before, share }
+        };
+        let width = from as usize;
+        let row = width.saturating_mul(channels);
+        Ok(Self {
+            upsampling,
+            input,
+            output,
+            columns,
+            rows: [scratch.take(row)?, scratch.take(row)?],
+            held: [None, None],
+            mixed: scratch.take(width)?,
+        })
+    }
+
+    /// Writes output row `v`; `decode` makes a source row.
+    #[inline(always)]
+    pub(super) fn row(
+        &mut self,
+        v: u32,
+        out: &mut [f32],
+        mut decode: impl FnMut(u32, &mut [f32]) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        if self.input == self.output {
+            return decode(v, out);
+        }
+        let (above, below, share) =
+            self.upsampling
+                .sample(v, self.input.height(), self.output.height());
+        for y in [above, below] {
+            let [even, odd] = &mut self.rows;
+            let [even_held, odd_held] = &mut self.held;
+            let (slot, held) = if y % 2 == 0 {
+                (even, even_held)
+            } else {
+                (odd, odd_held)
+            };
+            if *held != Some(y) {
+                decode(y, slot)?;
+                *held = Some(y);
+            }
+        }
+        let [even, odd] = &self.rows;
+        let (above, below): (&[f32], &[f32]) = match (above % 2, below % 2) {
+            (0, 0) => (even, even),
+            (0, _) => (even, odd),
+            (_, 0) => (odd, even),
+            _ => (odd, odd),
+        };
+        let (from, to) = (self.input.width() as usize, self.output.width() as usize);
+        for ((above, below), out) in above
+            .chunks_exact(from)
+            .zip(below.chunks_exact(from))
+            .zip(out.chunks_exact_mut(to))
+        {
+            for ((mixed, a), b) in self.mixed.iter_mut().zip(above).zip(below) {
+                *mixed = lerp(*a, *b, share);
+            }
+            self.columns.widen(self.mixed, out);
+        }
+        Ok(())
+    }
+}
+
+impl Columns<'_> {
+    #[inline(always)]
+    fn widen(&self, row: &[f32], out: &mut [f32]) {
+        match self {
+            Self::Same => {
+                for (out, value) in out.iter_mut().zip(row) {
+                    *out = *value;
+                }
+            }
+            Self::Twice => widen::<2>(row, out, [0.75, 0.25]),
+            Self::FourTimes => widen::<4>(row, out, [0.625, 0.875, 0.125, 0.375]),
+            Self::Any { before, share } => {
+                for ((out, before), share) in out.iter_mut().zip(before.iter()).zip(share.iter()) {
+                    let column = before.to_bits() as usize;
+                    // The share of a column beyond the last one is 0.
+                    let a = row.get(column).copied().unwrap_or(0.0);
+                    let b = row.get(column + 1).copied().unwrap_or(a);
+                    *out = lerp(a, b, *share);
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn lerp(a: f32, b: f32, share: f32) -> f32 {
+    a + share * (b - a)
+}
+
+/// Half-pixel upsampling of a row to `S` times its width: the first half of each block of `S` lies between the source
+/// pixel before and its own, the second half between its own and the one after.
+#[inline(always)]
+fn widen<const S: usize>(row: &[f32], out: &mut [f32], shares: [f32; S]) {
+    let block = |before: f32, own: f32, after: f32, out: &mut [f32; S]| {
+        for (k, (out, share)) in out.iter_mut().zip(shares).enumerate() {
+            *out = if k < S / 2 {
+                lerp(before, own, share)
+            } else {
+                lerp(own, after, share)
+            };
+        }
+    };
+    let (blocks, _) = out.as_chunks_mut::<S>();
+    let (Some(first), Some(last)) = (row.first(), row.last()) else {
+        return;
+    };
+    if let (Some(out), [own, rest @ ..]) = (blocks.first_mut(), row) {
+        block(*first, *own, *rest.first().unwrap_or(own), out);
+    }
+    if let (Some(out), [before, own]) = (
+        blocks.get_mut(1..).and_then(<[_]>::last_mut),
+        row.last_chunk::<2>().unwrap_or(&[*last, *last]),
+    ) {
+        block(*before, *own, *own, out);
+    }
+    for (neighbours, out) in row.windows(3).zip(blocks.iter_mut().skip(1)) {
+        if let [before, own, after] = neighbours {
+            block(*before, *own, *after, out);
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! Ground tables: the inverse ground depth of every pixel, made once per calibration.
+//!
+//! - Layout: row-major, `index = v * width + u`, one value a pixel.
+//! - Values: inverse planar depth `1 / z_c` in 1/m, with its sign: positive below the vanishing line, 0 on it, negative
+//!   above (an uphill road rises above the plane's horizon, so the adaptive mode needs it), [`NO_GROUND`] where the
+//!   camera has no ray. Never NaN.
+//! - Depth in metres is [`depth_from_inverse`]: exactly 0 on and above the vanishing line.
+//!
+//! | form | memory | for |
+//! |---|---|---|
+//! | [`GroundLut`], [`GroundView`] | 4 bytes a pixel | every camera |
+//! | [`GroundCoefficients`] | three numbers | pinholes |
+//!
+//! Fusion reads any of them through [`GroundRows`]. Errors are about memory that is too small; nothing panics.
+
+mod coefficients;
+mod inverse_depth;
+
+pub use coefficients::GroundCoefficients;
+pub use inverse_depth::{GroundLut, GroundView};
+
+use crate::Error;
+use crate::camera::ImageSize;
+
+/// The inverse depth of a pixel whose ray has no depth at all (outside the field of view, or at 90 degrees and more
+/// from the axis): so far above the vanishing line that no slope brings ground there.
+pub const NO_GROUND: f32 = f32::MIN;
+
+/// The least inverse depth that is not the vanishing line, 1/m: ground beyond 1000 km is none. It keeps rounding on the
+/// line from becoming a depth.
+pub const MIN_INVERSE_DEPTH: f32 = 1e-6;
+
+/// The planar depth in metres for an inverse depth in 1/m; exactly 0 on and above the vanishing line.
+#[inline(always)]
+pub fn depth_from_inverse(inverse: f32) -> f32 {
+    if inverse > MIN_INVERSE_DEPTH {
+        1.0 / inverse
+    } else {
+        0.0
+    }
+}
+
+/// Where fusion reads the ground from, row by row.
+pub trait GroundRows {
+    /// The picture's size.
+    fn size(&self) -> ImageSize;
+
+    /// H: the camera's height over the ground, metres; positive.
+    fn camera_height(&self) -> f32;
+
+    /// Writes the inverse depths of row `v` to `row`, [`Self::size`]`.width()` values.
+    ///
+    /// # Errors
+    /// [`Error::GroundRow`] if there is no such row or `row` has another length.
+    fn write_row(&self, v: u32, row: &mut [f32]) -> Result<(), Error>;
+}
+
+/// Writes the planar ground depth in metres, 0 where there is no ground or where it is beyond `max_depth`: what a
+/// network takes as its ground channel, and what [`crate::fusion`] does not need.
+///
+/// `metres` is row-major and of the table's size.
+///
+/// # Errors
+/// [`Error::OutputLength`]; [`Error::GroundRow`] if the source has no such row.
+pub fn write_depth<G: GroundRows + ?Sized>(
+    ground: &G,
+    max_depth: f32,
+    metres: &mut [f32],
+) -> Result<(), Error> {
+    let size = ground.size();
+    if metres.len() != size.pixels() {
+        return Err(Error::OutputLength {
+            needed: size.pixels(),
+            given: metres.len(),
+        });
+    }
+    for (v, row) in (0..).zip(metres.chunks_exact_mut(size.width() as usize)) {
+        ground.write_row(v, row)?;
+        for value in row {
+            let depth = depth_from_inverse(*value);
+            *value = if depth <= max_depth { depth } else { 0.0 };
+        }
+    }
+    Ok(())
+}
+
+/// Checks that `values` can hold a table of this size and cuts it to length.
+fn table_memory<T>(values: &mut [T], size: ImageSize) -> Result<&mut [T], Error> {
+    let given = values.len();
+    values.get_mut(..size.pixels()).ok_or(Error::TableLength {
+        needed: size.pixels(),
+        given,
+    })
+}
