@@ -1,1 +1,36 @@
-//! Runs quantized GEDepth networks on the CPU.
+//! Metric depth from one camera picture and its calibration: runs quantized GEDepth networks ("Ground Embedding for
+//! Monocular Depth Estimation", ICCV 2023) on the CPU.
+//!
+//! One way through the data: a [`Model`] (ONNX file with its [`contract`]) and a [`Calibration`] make an [`Estimator`],
+//! which plans the network and builds the ground table, once. Then each [`Picture`] becomes an [`Estimate`]:
+//! bytes, resampled planes, network, heads, fusion, depth.
+//!
+//! ```no_run
+//! use std::path::Path;
+//! use gedepth::{Calibration, Estimator, Model, OutputSize, Picture, picture};
+//!
+//! let image = picture::read(Path::new("image.png"))?;
+//! let calibration = Calibration::read(Path::new("calibration.json"))?;
+//! let mut estimator =
+//!     Estimator::new(&Model::embedded()?, &calibration, image.dimensions(), None, OutputSize::Picture)?;
+//! let picture = Picture::new(image.dimensions(), image.as_raw()).ok_or("no pixels")?;
+//! let estimate = estimator.run(picture)?;
+//! println!("{:.1} m", estimate.depth[estimate.depth.len() / 2]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+pub mod contract;
+pub mod picture;
+pub mod render;
+
+mod calibration;
+mod error;
+mod estimator;
+mod model;
+mod preprocess;
+
+pub use calibration::{Calibration, Camera, json, kitti};
+pub use error::Error;
+pub use estimator::{Estimate, Estimator, OutputSize, StageTimes};
+pub use model::{Model, Size};
+pub use preprocess::{Picture, Placement};

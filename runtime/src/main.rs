@@ -1,2 +1,42 @@
 //! The `gedepth` command.
-fn main() {}
+
+mod command;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Metric depth from one camera picture and its calibration, on the CPU.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = true, after_help = EXIT_CODES)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Run(command::run::Arguments),
+}
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0  done
+  2  wrong call
+  3  the picture cannot be used
+  4  the calibration cannot be used
+  5  the model cannot be used
+  6  an output cannot be written";
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Run(arguments) => command::run::run(&arguments),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("gedepth: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! Calibration files: the camera, where it is, and where the ground is.
+//!
+//! [`Calibration::read`] knows the project's own file ([`json`]) and KITTI's ([`kitti`]) by their content.
+
+mod camera;
+pub mod json;
+pub mod kitti;
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use gedepth_core::camera::{ImageSize, Intrinsics};
+use gedepth_core::{Direction, Extrinsics, Ground, GroundPlane};
+
+pub use camera::Camera;
+use camera::Distortion;
+
+use crate::Error;
+use crate::model::Size;
+
+/// A larger file is no calibration.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// What a file says, before it is checked: any format is brought to this.
+struct Numbers {
+    /// Width and height in pixels, where the file says so.
+    size: Option<Size>,
+    k: [[f64; 3]; 3],
+    distortion: Distortion,
+    /// World to camera.
+    r: [[f64; 3]; 3],
+    t: [f64; 3],
+    /// The ground in the world: `up . p = offset`.
+    up: [f64; 3],
+    offset: f64,
+}
+
+/// A calibrated camera over its ground, checked.
+#[derive(Clone, Debug)]
+pub struct Calibration {
+    path: PathBuf,
+    size: Option<Size>,
+    k: [[f64; 3]; 3],
+    distortion: Distortion,
+    ground: Ground,
+}
+
+impl Calibration {
+    /// Reads a calibration file. For KITTI raw, `path` is `calib_cam_to_cam.txt`, and `calib_velo_to_cam.txt` is read
+    /// beside it.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let text = read_text(path)?;
+        let numbers = if text.trim_start().starts_with('{') {
+            json::parse(&text)
+        } else {
+            let entries = kitti::Entries::parse(&text);
+            if entries.has("P_rect_02") {
+                let lidar = path.with_file_name("calib_velo_to_cam.txt");
+                kitti::raw(&entries, &kitti::Entries::parse(&read_text(&lidar)?))
+            } else if entries.has("P2") {
+                kitti::single(&entries)
+            } else {
+                Err(
+                    "neither this project's JSON nor one of KITTI's (no `P2`, no `P_rect_02`)"
+                        .to_owned(),
+                )
+            }
+        };
+        let numbers = numbers.map_err(|reason| Error::CalibrationFormat {
+            path: path.to_owned(),
+            reason,
+        })?;
+        Self::checked(path, &numbers).map_err(|reason| Error::Calibration {
+            path: path.to_owned(),
+            reason,
+        })
+    }
+
+    fn checked(path: &Path, numbers: &Numbers) -> Result<Self, gedepth_core::Error> {
+        let [x, y, z] = numbers.up;
+        let plane = GroundPlane::new(Direction::new(x, y, z)?, numbers.offset)?;
+        let extrinsics = Extrinsics::world_to_camera(numbers.r, numbers.t)?;
+        let calibration = Self {
+            path: path.to_owned(),
+            size: numbers.size,
+            k: numbers.k,
+            distortion: numbers.distortion,
+            ground: Ground::seen_by(&extrinsics, &plane)?,
+        };
+        // Where the file has no size the numbers are still checked, against any.
+        calibration.camera_of(numbers.size.unwrap_or((1, 1)))?;
+        Ok(calibration)
+    }
+
+    /// The camera for a picture of `picture` pixels.
+    pub fn camera(&self, picture: Size) -> Result<Camera, Error> {
+        if let Some(expected) = self.size.filter(|&size| size != picture) {
+            return Err(Error::PictureSize {
+                actual: picture,
+                expected,
+            });
+        }
+        self.camera_of(picture)
+            .map_err(|reason| Error::Calibration {
+                path: self.path.clone(),
+                reason,
+            })
+    }
+
+    fn camera_of(&self, (width, height): Size) -> Result<Camera, gedepth_core::Error> {
+        Camera::new(
+            Intrinsics::from_matrix(ImageSize::new(width, height)?, self.k)?,
+            self.distortion,
+        )
+    }
+
+    /// Width and height of the pictures in pixels, where the file says so.
+    pub fn size(&self) -> Option<Size> {
+        self.size
+    }
+
+    /// The ground as the camera sees it.
+    pub fn ground(&self) -> &Ground {
+        &self.ground
+    }
+
+    /// The file it came from.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+fn read_text(path: &Path) -> Result<String, Error> {
+    let read = || {
+        let mut text = String::new();
+        let file = std::fs::File::open(path)?;
+        if file.take(MAX_FILE_BYTES + 1).read_to_string(&mut text)? as u64 > MAX_FILE_BYTES {
+            return Err(std::io::Error::other("larger than 1 MiB, no calibration"));
+        }
+        Ok(text)
+    };
+    read().map_err(|source| Error::CalibrationRead {
+        path: path.to_owned(),
+        source,
+    })
+}

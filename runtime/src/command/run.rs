@@ -1,0 +1,182 @@
+//! `gedepth run`: one picture and its calibration in, depth out.
+
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::Args;
+use gedepth::{
+    Calibration, Error, Estimate, Estimator, Model, OutputSize, Picture, StageTimes, picture,
+    render,
+};
+use image::{DynamicImage, ImageFormat};
+use tempfile::NamedTempFile;
+
+/// Estimates the depth of one picture.
+///
+/// Writes into DIR: depth.png (16 bits, metres x 256, 0 = none: KITTI's convention), depth_colours.png (with a scale
+/// bar), ground.png (depth of the ground as the network's mode sees it, in the same colours) and attention.png (white
+/// where the ground is trusted; not with a baseline model). All have the picture's size, or with a model that crops,
+/// the crop's. Nothing is written unless everything can be.
+#[derive(Args)]
+#[command(after_help = super::super::EXIT_CODES)]
+pub(crate) struct Arguments {
+    /// PNG or JPEG file, as the camera made it: unscaled and uncropped
+    picture: PathBuf,
+    /// Calibration: this project's JSON file; KITTI object, tracking or odometry; or KITTI raw's calib_cam_to_cam.txt,
+    /// with calib_velo_to_cam.txt beside it
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// ONNX file with a gedepth contract [default: a quantized adaptive model inside the program]
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Folder for the outputs; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Size at which the network runs, instead of the one that the picture's proportions and the model ask for
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
+    network_size: Option<(u32, u32)>,
+}
+
+fn size(text: &str) -> Result<(u32, u32), String> {
+    text.split_once('x')
+        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)))
+        .ok_or_else(|| "expected WIDTHxHEIGHT, for example 640x192".to_owned())
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
+    let clock = Instant::now();
+    let image = picture::read(&arguments.picture)?;
+    let decode = clock.elapsed();
+    let picture = Picture::from(&image);
+    let calibration = Calibration::read(&arguments.calibration)?;
+    let clock = Instant::now();
+    let model = match &arguments.model {
+        Some(path) => Model::from_file(path)?,
+        None => Model::embedded()?,
+    };
+    let mut estimator = Estimator::new(
+        &model,
+        &calibration,
+        picture.size(),
+        arguments.network_size,
+        OutputSize::Picture,
+    )?;
+    let preparation = clock.elapsed();
+    let estimate = estimator.run(picture)?;
+    write_together(&arguments.out, &rendered(&estimate, &arguments.out)?)?;
+
+    let contract = model.contract();
+    let placement = estimate.placement;
+    let ((pw, ph), (nw, nh), (w, h)) = (picture.size(), placement.network, estimate.size);
+    let (near, far) = range(estimate.depth);
+    let pixels = estimate.depth.len() as f32;
+    let ground = estimate.ground.iter().filter(|&&z| z > 0.0).count() as f32;
+    println!("picture     {pw} x {ph}");
+    println!(
+        "network     {nw} x {nh}, {}, {}",
+        contract.mode, contract.network
+    );
+    match placement.region == picture.size() {
+        true => println!("depth       {w} x {h}, {near:.2} to {far:.2} m"),
+        false => println!(
+            "depth       {w} x {h} from column {}, row {} on, {near:.2} to {far:.2} m",
+            placement.left, placement.top
+        ),
+    }
+    println!(
+        "ground      seen by {:.1} % of the pixels within {} m, from {:.2} m on",
+        100.0 * ground / pixels,
+        contract.depth_range.max(),
+        range(estimate.ground).0,
+    );
+    let StageTimes {
+        preprocess,
+        network,
+        fusion,
+    } = estimate.times;
+    for (stage, time, note) in [
+        ("decode", decode, ""),
+        (
+            "prepare",
+            preparation,
+            "  once per camera: plan of the network, ground table",
+        ),
+        ("preprocess", preprocess, ""),
+        ("network", network, ""),
+        ("fusion", fusion, ""),
+    ] {
+        println!("{stage:<10} {:>7.1} ms{note}", time.as_secs_f64() * 1e3);
+    }
+    println!("written to  {}", arguments.out.display());
+    Ok(())
+}
+
+/// Least and greatest of the positive numbers; 0 where there are none.
+fn range(metres: &[f32]) -> (f32, f32) {
+    let measured = || metres.iter().copied().filter(|&z| z > 0.0);
+    (
+        measured().reduce(f32::min).unwrap_or(0.0),
+        measured().reduce(f32::max).unwrap_or(0.0),
+    )
+}
+
+/// The outputs as encoded files: name and bytes.
+fn rendered(estimate: &Estimate<'_>, dir: &Path) -> Result<Vec<(&'static str, Vec<u8>)>, Error> {
+    let map = |values| render::Map {
+        width: estimate.size.0,
+        values,
+    };
+    let mut pictures: Vec<(&'static str, DynamicImage)> = vec![
+        ("depth.png", render::depth_16bit(map(estimate.depth)).into()),
+        (
+            "depth_colours.png",
+            render::depth_colours(map(estimate.depth)).into(),
+        ),
+        (
+            "ground.png",
+            render::depth_colours(map(estimate.ground)).into(),
+        ),
+    ];
+    if let Some(attention) = estimate.attention {
+        pictures.push(("attention.png", render::attention(map(attention)).into()));
+    }
+    pictures
+        .into_iter()
+        .map(|(name, picture)| {
+            let mut bytes = Cursor::new(Vec::new());
+            picture
+                .write_to(&mut bytes, ImageFormat::Png)
+                .map_err(|e| Error::Write {
+                    path: dir.join(name),
+                    reason: e.to_string(),
+                })?;
+            Ok((name, bytes.into_inner()))
+        })
+        .collect()
+}
+
+/// Writes all files or none: each beside its place first, all renamed once all are complete.
+fn write_together(dir: &Path, files: &[(&str, Vec<u8>)]) -> Result<(), Error> {
+    let failed = |path: PathBuf| {
+        move |e: std::io::Error| Error::Write {
+            path,
+            reason: e.to_string(),
+        }
+    };
+    std::fs::create_dir_all(dir).map_err(failed(dir.to_owned()))?;
+    let mut complete = Vec::new();
+    for (name, bytes) in files {
+        let beside = || {
+            let mut file = NamedTempFile::new_in(dir)?;
+            file.write_all(bytes)?;
+            file.as_file().sync_all()?;
+            Ok(file)
+        };
+        complete.push((dir.join(name), beside().map_err(failed(dir.join(name)))?));
+    }
+    for (path, file) in complete {
+        file.persist(&path).map_err(|e| failed(path)(e.error))?;
+    }
+    Ok(())
+}

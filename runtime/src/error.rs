@@ -1,0 +1,127 @@
+//! What can go wrong between files and depth. Each message is one line: what, in which file, what to do.
+
+use std::path::PathBuf;
+
+use crate::contract::ContractError;
+
+/// An error of the runtime.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The picture's file cannot be read.
+    #[error("{path}: cannot read the picture: {source}")]
+    PictureRead {
+        /// The picture's file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The picture's file is not a picture, is broken, or is too large.
+    #[error("{path}: cannot decode the picture: {source}; give a PNG or JPEG of at most {max} x {max} pixels", max = crate::picture::MAX_SIDE)]
+    PictureDecode {
+        /// The picture's file.
+        path: PathBuf,
+        /// Why.
+        source: image::ImageError,
+    },
+    /// The picture is not of the size that the estimator was made for.
+    #[error(
+        "the picture is {actual:?} (width, height), but the calibration is for {expected:?}; give the picture that the calibration belongs to, unscaled and uncropped"
+    )]
+    PictureSize {
+        /// Width and height of the picture, pixels.
+        actual: (u32, u32),
+        /// Width and height that the calibration was made for.
+        expected: (u32, u32),
+    },
+    /// The picture cannot be brought to the network's size.
+    #[error("the picture of {actual:?} (width, height) does not fit the network: {reason}")]
+    PictureUnfit {
+        /// Width and height of the picture, pixels.
+        actual: (u32, u32),
+        /// Why not, and what to do.
+        reason: String,
+    },
+    /// The network was asked to run at a size that it does not take.
+    #[error("the network cannot run at {asked:?} (width, height): {reason}")]
+    NetworkSize {
+        /// Width and height asked for, pixels.
+        asked: (u32, u32),
+        /// Which sizes it takes.
+        reason: String,
+    },
+    /// A calibration file cannot be read.
+    #[error("{path}: cannot read the calibration: {source}")]
+    CalibrationRead {
+        /// The calibration's file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A calibration file is malformed.
+    #[error("{path}: not a calibration: {reason}")]
+    CalibrationFormat {
+        /// The calibration's file.
+        path: PathBuf,
+        /// What is missing or malformed.
+        reason: String,
+    },
+    /// The numbers of a calibration are no camera over a ground.
+    #[error("{path}: {reason}")]
+    Calibration {
+        /// The calibration's file.
+        path: PathBuf,
+        /// Which value is wrong, and what would be right.
+        reason: gedepth_core::Error,
+    },
+    /// The model's file cannot be read.
+    #[error("{path}: cannot read the model: {source}")]
+    ModelRead {
+        /// The model's file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The model says nothing, or nonsense, about itself.
+    #[error("{path}: {source}")]
+    Contract {
+        /// The model's file.
+        path: PathBuf,
+        /// What is wrong.
+        source: ContractError,
+    },
+    /// The model is not ONNX, or does not do what its contract says, or tract cannot run it.
+    #[error("{path}: cannot run the model: {reason}")]
+    Model {
+        /// The model's file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// An output cannot be written.
+    #[error("{path}: cannot write: {reason}")]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl Error {
+    /// The exit code of the command line: 3 picture, 4 calibration, 5 model, 6 output. (2 is a wrong call.)
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Error::NetworkSize { .. } => 2,
+            Error::PictureRead { .. }
+            | Error::PictureDecode { .. }
+            | Error::PictureSize { .. }
+            | Error::PictureUnfit { .. } => 3,
+            Error::CalibrationRead { .. }
+            | Error::CalibrationFormat { .. }
+            | Error::Calibration { .. } => 4,
+            Error::ModelRead { .. } | Error::Contract { .. } | Error::Model { .. } => 5,
+            Error::Write { .. } => 6,
+        }
+    }
+}

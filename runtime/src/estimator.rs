@@ -1,0 +1,291 @@
+//! The estimator: one model bound to one calibrated camera. Everything that can be done once is done here once; then
+//! each picture runs through preprocessing, network and fusion.
+
+use std::time::{Duration, Instant};
+
+use gedepth_core::camera::{CameraModel, ImageSize};
+use gedepth_core::fusion::{
+    AttentionHead, DecodeAt, FusedMaps, Fusion, HeadMap, ResidualHead, Samples, SlopeHead,
+    scratch_len,
+};
+use gedepth_core::table::{GroundRows, GroundView, depth_from_inverse, write_depth};
+
+use crate::Error;
+use crate::calibration::Calibration;
+use crate::contract::{Channel, Contract, GroundChannel};
+use crate::model::{Model, Network, Outputs, Size};
+use crate::preprocess::{Picture, Placement, Preprocessor};
+
+/// At which size the depth is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputSize {
+    /// The picture's (the region's, where the model crops): the ground is exact in every pixel.
+    Picture,
+    /// The network's input: fewer pixels, faster.
+    Network,
+}
+
+/// How long each stage of a run took.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StageTimes {
+    /// Crop, resampling, normalisation.
+    pub preprocess: Duration,
+    /// The network.
+    pub network: Duration,
+    /// Upsampling of the heads, slope, fusion.
+    pub fusion: Duration,
+}
+
+/// What a run gave. Maps are row-major from the top left.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimate<'a> {
+    /// Width and height of the maps.
+    pub size: Size,
+    /// Which part of the picture they cover.
+    pub placement: Placement,
+    /// Planar depth, metres.
+    pub depth: &'a [f32],
+    /// Ground depth as the mode sees it, metres; 0 where there is none within the model's range.
+    pub ground: &'a [f32],
+    /// Ground attention M, 0 to 1; `None` where the network has no such output.
+    pub attention: Option<&'a [f32]>,
+    /// How long the stages took.
+    pub times: StageTimes,
+}
+
+/// A model bound to a camera.
+pub struct Estimator {
+    contract: Contract,
+    placement: Placement,
+    picture: Size,
+    preprocessor: Preprocessor,
+    network: Network,
+    fusion: Fusion,
+    output: ImageSize,
+    /// Height of the camera over the ground, metres.
+    camera_height: f32,
+    /// Inverse ground depth of the output's pixels, 1/m.
+    table: Vec<f32>,
+    scratch: Vec<f32>,
+    depth: Vec<f32>,
+    ground: Vec<f32>,
+    attention: Vec<f32>,
+}
+
+impl Estimator {
+    /// Plans the model for pictures of `picture` pixels from this camera and builds its ground table: once per
+    /// calibration. `network_size` overrides the size that [`Placement::new`] chooses.
+    pub fn new(
+        model: &Model,
+        calibration: &Calibration,
+        picture: Size,
+        network_size: Option<Size>,
+        output_size: OutputSize,
+    ) -> Result<Self, Error> {
+        let contract = model.contract().clone();
+        let camera = calibration.camera(picture)?;
+        let placement = Placement::new(model, picture, network_size)?;
+        let unfit_camera = |reason| Error::Calibration {
+            path: calibration.path().to_owned(),
+            reason,
+        };
+        let unfit_model = |e: gedepth_core::Error| Error::Model {
+            path: model.path().to_owned(),
+            reason: e.to_string(),
+        };
+        let scaled = |(width, height): Size| {
+            let region = ImageSize::new(placement.region.0, placement.region.1)?;
+            camera.crop_and_resize(
+                placement.left,
+                placement.top,
+                region,
+                ImageSize::new(width, height)?,
+            )
+        };
+        let ground = calibration.ground();
+
+        let mut network = Network::new(model, placement.network, &outputs(&contract))?;
+        let network_camera = scaled(placement.network).map_err(unfit_camera)?;
+        let mut plane = vec![0.0; network_camera.size().pixels()];
+        GroundView::build(&mut plane, &network_camera, ground).map_err(unfit_camera)?;
+        network.fill_input(|input| {
+            for (channel, values) in contract
+                .channels
+                .iter()
+                .zip(input.chunks_exact_mut(plane.len()))
+            {
+                if let Channel::Ground(form) = channel {
+                    for (value, &inverse) in values.iter_mut().zip(&plane) {
+                        *value = ground_value(*form, inverse, &contract);
+                    }
+                }
+            }
+            Ok(())
+        })?;
+
+        let output_camera = match output_size {
+            OutputSize::Network => network_camera,
+            OutputSize::Picture => scaled(placement.region).map_err(unfit_camera)?,
+        };
+        let output = output_camera.size();
+        let pixels = output.pixels();
+        let mut table = vec![0.0; GroundView::len(output)];
+        let view = GroundView::build(&mut table, &output_camera, ground).map_err(unfit_camera)?;
+        let farthest = contract.depth_range.max();
+        let mut ground_depth = vec![0.0; pixels];
+        write_depth(&view, farthest, &mut ground_depth).map_err(unfit_camera)?;
+        Ok(Self {
+            placement,
+            picture,
+            preprocessor: Preprocessor::new(&contract, placement),
+            network,
+            fusion: Fusion::new(contract.upsampling, contract.depth_range, farthest)
+                .map_err(unfit_model)?,
+            output,
+            camera_height: view.camera_height(),
+            table,
+            scratch: Vec::new(),
+            depth: vec![0.0; pixels],
+            ground: ground_depth,
+            attention: vec![
+                0.0;
+                if contract.attention.is_some() {
+                    pixels
+                } else {
+                    0
+                }
+            ],
+            contract,
+        })
+    }
+
+    /// Which part of the picture the network sees, and at which size.
+    pub fn placement(&self) -> &Placement {
+        &self.placement
+    }
+
+    /// Estimates the depth of a picture from this estimator's camera.
+    pub fn run(&mut self, picture: Picture<'_>) -> Result<Estimate<'_>, Error> {
+        if picture.size() != self.picture {
+            return Err(Error::PictureSize {
+                actual: picture.size(),
+                expected: self.picture,
+            });
+        }
+        let start = Instant::now();
+        self.network
+            .fill_input(|input| self.preprocessor.fill(picture, input))?;
+        let filled = Instant::now();
+        let heads = self.network.run()?;
+        let inferred = Instant::now();
+        let maps = FusedMaps {
+            depth: &mut self.depth,
+            attention: self
+                .contract
+                .attention
+                .is_some()
+                .then_some(self.attention.as_mut_slice()),
+            ground: Some(&mut self.ground),
+        };
+        let ground = GroundView::from_values(&self.table, self.output, self.camera_height)
+            .map_err(|e| heads.unfit(e))?;
+        fuse(
+            &self.contract,
+            &self.fusion,
+            &heads,
+            &ground,
+            &mut self.scratch,
+            maps,
+        )?;
+        let fused = Instant::now();
+        Ok(Estimate {
+            size: (self.output.width(), self.output.height()),
+            placement: self.placement,
+            depth: &self.depth,
+            ground: &self.ground,
+            attention: self.contract.attention.is_some().then_some(&self.attention),
+            times: StageTimes {
+                preprocess: filled - start,
+                network: inferred - filled,
+                fusion: fused - inferred,
+            },
+        })
+    }
+}
+
+/// The outputs that fusion reads, in the order in which [`fuse`] does.
+fn outputs(contract: &Contract) -> Vec<&str> {
+    let attention = contract.attention.as_ref().map(|a| a.output.as_str());
+    let slope = contract.slope.as_ref().map(|s| s.output.as_str());
+    [Some(contract.residual.as_str()), attention, slope]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// What a ground channel holds where the inverse ground depth is `inverse` (1/m).
+fn ground_value(form: GroundChannel, inverse: f32, contract: &Contract) -> f32 {
+    let (scale, limit) = (contract.ground_scale_m, contract.ground_limit);
+    match form {
+        GroundChannel::InverseDepth => (scale * inverse).clamp(-limit, limit),
+        GroundChannel::Depth => {
+            let z = depth_from_inverse(inverse);
+            if z <= limit { z / scale } else { 0.0 }
+        }
+        GroundChannel::DepthUnfiltered => 1.0 / inverse,
+    }
+}
+
+/// From the heads to depth.
+fn fuse(
+    contract: &Contract,
+    fusion: &Fusion,
+    heads: &Outputs<'_>,
+    ground: &GroundView<'_>,
+    scratch: &mut Vec<f32>,
+    maps: FusedMaps<'_>,
+) -> Result<(), Error> {
+    let map = |index| {
+        let (values, [channels, height, width]) = heads.head(index)?;
+        let side = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
+        ImageSize::new(side(width), side(height))
+            .and_then(|size| HeadMap::new(Samples::F32(values), channels, size))
+            .map_err(|e| heads.unfit(e))
+    };
+    let residual = ResidualHead {
+        map: map(0)?,
+        unit: contract.residual_unit,
+        decode_at: DecodeAt::HeadSize,
+    };
+    let output = ground.size();
+    let classes = contract
+        .slope
+        .as_ref()
+        .map_or(0, |slope| slope.classes.radians().len());
+    scratch.resize(
+        scratch_len(output, residual.map.size().width(), classes),
+        0.0,
+    );
+    let fused = match &contract.attention {
+        None => fusion.baseline(output, &residual, scratch, maps.depth),
+        Some(attention) => {
+            let attention = AttentionHead {
+                map: map(1)?,
+                unit: attention.unit,
+                decode_at: DecodeAt::HeadSize,
+            };
+            match &contract.slope {
+                None => fusion.vanilla(ground, &residual, &attention, scratch, maps),
+                Some(slope) => {
+                    let slope = SlopeHead {
+                        map: map(2)?,
+                        classes: &slope.classes,
+                        decode_at: slope.decode_at,
+                    };
+                    fusion.adaptive(ground, &residual, &attention, &slope, scratch, maps)
+                }
+            }
+        }
+    };
+    fused.map_err(|e| heads.unfit(e))
+}

@@ -1,0 +1,304 @@
+//! A model: an ONNX file and the contract in its metadata.
+
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use tract_onnx::pb::ModelProto;
+use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
+use tract_onnx::pb::type_proto::Value as TypeValue;
+use tract_onnx::prelude::*;
+
+use crate::Error;
+use crate::contract::Contract;
+
+/// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
+static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onnx");
+
+/// Largest file that is read as a model, bytes: protobuf's own limit.
+const MAX_FILE_BYTES: u64 = 1 << 31;
+/// Greatest number of pixels that a network is run at.
+const MAX_PIXELS: u64 = 1 << 24;
+
+/// Width and height, pixels.
+pub type Size = (u32, u32);
+
+/// An ONNX model and its contract, not yet bound to a size.
+pub struct Model {
+    path: PathBuf,
+    contract: Contract,
+    proto: ModelProto,
+    /// Width and height of the input, where the file fixes them.
+    fixed_size: Option<Size>,
+}
+
+impl Model {
+    /// Reads a model from an ONNX file.
+    pub fn from_file(path: &Path) -> Result<Self, Error> {
+        let read = || {
+            if std::fs::metadata(path)?.len() > MAX_FILE_BYTES {
+                return Err(std::io::Error::other(
+                    "larger than 2 GiB, the limit of an ONNX file",
+                ));
+            }
+            std::fs::read(path)
+        };
+        let bytes = read().map_err(|source| Error::ModelRead {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::from_bytes(path, &bytes)
+    }
+
+    /// The quantized adaptive model that this crate carries.
+    pub fn embedded() -> Result<Self, Error> {
+        Self::from_bytes(Path::new("the embedded model"), EMBEDDED)
+    }
+
+    /// Reads a model from the bytes of an ONNX file; `path` names it in errors.
+    pub fn from_bytes(path: &Path, mut bytes: &[u8]) -> Result<Self, Error> {
+        let unfit = |reason: String| Error::Model {
+            path: path.to_owned(),
+            reason,
+        };
+        let proto = tract_onnx::onnx()
+            .proto_model_for_read(&mut bytes)
+            .map_err(|_| unfit("not an ONNX file".to_owned()))?;
+        if proto.graph.is_none() {
+            return Err(unfit(
+                "not an ONNX file: there is no graph in it".to_owned(),
+            ));
+        }
+        let metadata = proto
+            .metadata_props
+            .iter()
+            .map(|e| (e.key.as_str(), e.value.as_str()));
+        let contract = Contract::from_metadata(metadata).map_err(|source| Error::Contract {
+            path: path.to_owned(),
+            source,
+        })?;
+        let fixed_size = check_graph(&proto, &contract).map_err(unfit)?;
+        Ok(Self {
+            path: path.to_owned(),
+            contract,
+            proto,
+            fixed_size,
+        })
+    }
+
+    /// What the model says about itself.
+    pub fn contract(&self) -> &Contract {
+        &self.contract
+    }
+
+    /// The file it came from.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Width and height of the input, where the file fixes them.
+    pub fn fixed_size(&self) -> Option<Size> {
+        self.fixed_size
+    }
+}
+
+impl fmt::Debug for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Model")
+            .field("path", &self.path)
+            .field("contract", &self.contract)
+            .field("fixed_size", &self.fixed_size)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Holds the graph against its contract; returns the size that the input fixes.
+fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, String> {
+    let graph = proto.graph.as_ref().ok_or("there is no graph in it")?;
+    // Older files list the weights among the inputs.
+    let inputs: Vec<_> = graph
+        .input
+        .iter()
+        .filter(|input| {
+            graph
+                .initializer
+                .iter()
+                .all(|weights| weights.name != input.name)
+        })
+        .collect();
+    let [input] = inputs.as_slice() else {
+        return Err(format!("it has {} inputs instead of one", inputs.len()));
+    };
+    if input.name != contract.input {
+        return Err(format!(
+            "its input is `{}`, but its contract says `{}`",
+            input.name, contract.input
+        ));
+    }
+    let Some(TypeValue::TensorType(tensor)) = input.r#type.as_ref().and_then(|t| t.value.as_ref())
+    else {
+        return Err("its input has no type".to_owned());
+    };
+    let dimensions: Vec<Option<i64>> = tensor
+        .shape
+        .iter()
+        .flat_map(|shape| &shape.dim)
+        .map(|dimension| match dimension.value {
+            Some(Dimension::DimValue(n)) => Some(n),
+            _ => None,
+        })
+        .collect();
+    let channels = contract.channels.len() as i64;
+    match dimensions[..] {
+        [batch, c, height, width]
+            if batch.is_none_or(|n| n == 1) && c.is_none_or(|n| n == channels) =>
+        {
+            match (height, width) {
+                (Some(height @ 1..=16384), Some(width @ 1..=16384)) => {
+                    Ok(Some((width as u32, height as u32)))
+                }
+                (None, None) => Ok(None),
+                _ => Err("its input must have a fixed height and width, or neither".to_owned()),
+            }
+        }
+        _ => Err(format!(
+            "its input has the shape {dimensions:?}, but its contract needs [1, {channels}, height, width]"
+        )),
+    }
+}
+
+/// A network bound to a size, ready to run.
+pub(crate) struct Network {
+    path: PathBuf,
+    plan: Arc<TypedRunnableModel>,
+    /// `[1, channels, height, width]`; taken by a run and given back after it.
+    input: Arc<Tensor>,
+    /// Where each output that was asked for is among the plan's.
+    outputs: Vec<usize>,
+}
+
+impl Network {
+    /// Plans the model for an input of `size`; the outputs come in the order of `outputs`.
+    pub(crate) fn new(model: &Model, size: Size, outputs: &[&str]) -> Result<Self, Error> {
+        let unfit = |reason: String| Error::Model {
+            path: model.path.clone(),
+            reason,
+        };
+        if u64::from(size.0) * u64::from(size.1) > MAX_PIXELS {
+            return Err(unfit(format!(
+                "{} x {} pixels are more than it is run at",
+                size.0, size.1
+            )));
+        }
+        let graph_outputs: Vec<&str> = model
+            .proto
+            .graph
+            .iter()
+            .flat_map(|g| &g.output)
+            .map(|o| o.name.as_str())
+            .collect();
+        let outputs = outputs
+            .iter()
+            .map(|name| {
+                graph_outputs.iter().position(|output| output == name).ok_or_else(|| {
+                    unfit(format!("it has no output `{name}`, which its contract names; it has {graph_outputs:?}"))
+                })
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let shape = [
+            1,
+            model.contract.channels.len(),
+            size.1 as usize,
+            size.0 as usize,
+        ];
+        let plan = guarded(|| {
+            tract_onnx::onnx()
+                .model_for_proto_model(&model.proto)?
+                .with_input_fact(0, f32::fact(shape).into())?
+                .into_optimized()?
+                .into_runnable()
+        })
+        .map_err(unfit)?;
+        let input = guarded(|| Tensor::zero::<f32>(&shape)).map_err(unfit)?;
+        Ok(Self {
+            path: model.path.clone(),
+            plan,
+            input: Arc::new(input),
+            outputs,
+        })
+    }
+
+    /// Lets `fill` write the input's planes, `[channels, height, width]`; they stay from run to run.
+    pub(crate) fn fill_input(
+        &mut self,
+        fill: impl FnOnce(&mut [f32]) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let input = Arc::make_mut(&mut self.input);
+        match input
+            .try_as_plain_ram_mut()
+            .and_then(|mut plain| Ok(fill(plain.as_slice_mut()?)))
+        {
+            Ok(filled) => filled,
+            Err(e) => Err(Error::Model {
+                path: self.path.clone(),
+                reason: e.to_string(),
+            }),
+        }
+    }
+
+    /// Runs the network on its input.
+    pub(crate) fn run(&self) -> Result<Outputs<'_>, Error> {
+        let values = guarded(|| self.plan.run(tvec!(self.input.clone().into_tvalue()))).map_err(
+            |reason| Error::Model {
+                path: self.path.clone(),
+                reason,
+            },
+        )?;
+        Ok(Outputs {
+            path: &self.path,
+            order: &self.outputs,
+            values,
+        })
+    }
+}
+
+/// What a run of a network gave.
+pub(crate) struct Outputs<'a> {
+    path: &'a Path,
+    order: &'a [usize],
+    values: TVec<TValue>,
+}
+
+impl Outputs<'_> {
+    /// The error of a model whose outputs are not what its contract says.
+    pub(crate) fn unfit(&self, reason: impl ToString) -> Error {
+        Error::Model {
+            path: self.path.to_owned(),
+            reason: reason.to_string(),
+        }
+    }
+
+    /// The output that was asked for as number `index`: its numbers, planar, and its `[channels, height, width]`.
+    pub(crate) fn head(&self, index: usize) -> Result<(&[f32], [usize; 3]), Error> {
+        let value = &self.values[self.order[index]];
+        let &[1, channels, height, width] = value.shape() else {
+            return Err(self.unfit(format!(
+                "an output has the shape {:?} instead of [1, channels, height, width]",
+                value.shape()
+            )));
+        };
+        let numbers = guarded(|| value.try_as_plain_ram()?.as_slice::<f32>())
+            .map_err(|reason| self.unfit(reason))?;
+        Ok((numbers, [channels, height, width]))
+    }
+}
+
+/// Runs a piece of tract. A broken file may make it panic; that must not take the caller with it.
+fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(Ok(value)) => Ok(value),
+        Ok(Err(error)) => Err(format!("{error:#}").replace('\n', " ")),
+        Err(_) => Err("tract panicked on it; the file is broken or unsupported".to_owned()),
+    }
+}

@@ -1,0 +1,37 @@
+//! Picture files: RGB, 8 bits, row by row from the top left.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use image::{ImageReader, Limits, RgbImage};
+
+use crate::Error;
+
+/// Longest side that is accepted, pixels.
+pub const MAX_SIDE: u32 = 16384;
+/// Greatest memory that decoding may take, bytes.
+const MAX_MEMORY: u64 = 1 << 30;
+
+/// Reads a PNG or JPEG picture. Its orientation tag is not applied: a calibration is for the stored pixels.
+pub fn read(path: &Path) -> Result<RgbImage, Error> {
+    let file = File::open(path).map_err(|source| Error::PictureRead {
+        path: path.to_owned(),
+        source,
+    })?;
+    let mut limits = Limits::no_limits();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_MEMORY);
+    let mut reader = ImageReader::new(BufReader::new(file));
+    reader.limits(limits);
+    reader
+        .with_guessed_format()
+        .map_err(image::ImageError::IoError)
+        .and_then(ImageReader::decode)
+        .map(|picture| picture.into_rgb8())
+        .map_err(|source| Error::PictureDecode {
+            path: path.to_owned(),
+            source,
+        })
+}
