@@ -37,6 +37,13 @@ pub(super) const fn scratch_len(channels: usize, input_width: usize, output_widt
     (2 * channels + 1) * input_width + 2 * output_width
 }
 
+/// What is upsampled. A trait and not a closure: closures cannot be `#[inline(always)]`, and what is not inlined does not
+/// get the caller's vectors.
+pub(super) trait SourceRows {
+    /// Writes source row `y`.
+    fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error>;
+}
+
 /// How columns are upsampled.
 enum Columns<'s> {
     /// Not at all.
@@ -103,16 +110,16 @@ impl<'s> Upsampler<'s> {
         })
     }
 
-    /// Writes output row `v`; `decode` makes a source row.
+    /// Writes output row `v` of what `source` gives.
     #[inline(always)]
-    pub(super) fn row(
+    pub(super) fn row<S: SourceRows>(
         &mut self,
         v: u32,
         out: &mut [f32],
-        mut decode: impl FnMut(u32, &mut [f32]) -> Result<(), Error>,
+        source: &mut S,
     ) -> Result<(), Error> {
         if self.input == self.output {
-            return decode(v, out);
+            return source.write_row(v, out);
         }
         let (above, below, share) =
             self.upsampling
@@ -126,7 +133,7 @@ impl<'s> Upsampler<'s> {
                 (odd, odd_held)
             };
             if *held != Some(y) {
-                decode(y, slot)?;
+                source.write_row(y, slot)?;
                 *held = Some(y);
             }
         }
@@ -185,31 +192,38 @@ fn lerp(a: f32, b: f32, share: f32) -> f32 {
 /// pixel before and its own, the second half between its own and the one after.
 #[inline(always)]
 fn widen<const S: usize>(row: &[f32], out: &mut [f32], shares: [f32; S]) {
-    let block = |before: f32, own: f32, after: f32, out: &mut [f32; S]| {
-        for (k, (out, share)) in out.iter_mut().zip(shares).enumerate() {
-            *out = if k < S / 2 {
-                lerp(before, own, share)
-            } else {
-                lerp(own, after, share)
-            };
-        }
-    };
     let (blocks, _) = out.as_chunks_mut::<S>();
     let (Some(first), Some(last)) = (row.first(), row.last()) else {
         return;
     };
     if let (Some(out), [own, rest @ ..]) = (blocks.first_mut(), row) {
-        block(*first, *own, *rest.first().unwrap_or(own), out);
+        widen_pixel([*first, *own, *rest.first().unwrap_or(own)], shares, out);
     }
     if let (Some(out), [before, own]) = (
         blocks.get_mut(1..).and_then(<[_]>::last_mut),
         row.last_chunk::<2>().unwrap_or(&[*last, *last]),
     ) {
-        block(*before, *own, *own, out);
+        widen_pixel([*before, *own, *own], shares, out);
     }
-    for (neighbours, out) in row.windows(3).zip(blocks.iter_mut().skip(1)) {
-        if let [before, own, after] = neighbours {
-            block(*before, *own, *after, out);
+    let inner = blocks.get_mut(1..).unwrap_or_default();
+    for (neighbours, out) in row.windows(3).zip(inner) {
+        if let [before, own, after] = *neighbours {
+            widen_pixel([before, own, after], shares, out);
         }
+    }
+}
+
+#[inline(always)]
+fn widen_pixel<const S: usize>(
+    [before, own, after]: [f32; 3],
+    shares: [f32; S],
+    out: &mut [f32; S],
+) {
+    for (k, (out, share)) in out.iter_mut().zip(shares).enumerate() {
+        *out = if k < S / 2 {
+            lerp(before, own, share)
+        } else {
+            lerp(own, after, share)
+        };
     }
 }
