@@ -6,13 +6,13 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use gedepth_core::camera::{ImageSize, Intrinsics, Pinhole};
+use gedepth_core::camera::{BrownConrady, ImageSize, Intrinsics, KannalaBrandt, Pinhole};
 use gedepth_core::fusion::{
     AttentionHead, AttentionUnit, DecodeAt, DepthRange, FusedMaps, Fusion, HeadMap, ResidualHead,
     ResidualUnit, Samples, SlopeHead, Upsampling, scratch_len,
 };
 use gedepth_core::slope::{SlopeClasses, SlopeSign};
-use gedepth_core::table::GroundView;
+use gedepth_core::table::{FixedView, GroundView, RayView};
 use gedepth_core::{Angle, Error, Ground};
 
 const WIDTH: u32 = 1216;
@@ -36,6 +36,34 @@ fn tables(c: &mut Criterion) {
     group.bench_function("pinhole", |b| {
         b.iter(|| {
             GroundView::build(black_box(&mut memory), black_box(&pinhole), &ground).map(|_| ())
+        });
+    });
+    let fisheye =
+        KannalaBrandt::new(intrinsics, [0.02, -0.01, 0.004, -0.0008]).expect("valid coefficients");
+    group.bench_function("kannala_brandt", |b| {
+        b.iter(|| {
+            GroundView::build(black_box(&mut memory), black_box(&fisheye), &ground).map(|_| ())
+        });
+    });
+    let distorted = BrownConrady::new(intrinsics, [-0.3, 0.12, 0.0005, -0.0004, -0.02])
+        .expect("valid coefficients");
+    group.bench_function("brown_conrady", |b| {
+        b.iter(|| {
+            GroundView::build(black_box(&mut memory), black_box(&distorted), &ground).map(|_| ())
+        });
+    });
+    let mut ray_memory = vec![0.0; RayView::len(size)];
+    let rays = RayView::build(&mut ray_memory, &fisheye).expect("enough memory");
+    group.bench_function("rebuild", |b| {
+        b.iter(|| {
+            GroundView::rebuild(black_box(&mut memory), black_box(&rays), &ground).map(|_| ())
+        });
+    });
+    let mut steps = vec![0_u16; size.pixels()];
+    group.bench_function("pinhole_fixed_point", |b| {
+        b.iter(|| {
+            FixedView::<256, 255>::build(black_box(&mut steps), black_box(&pinhole), &ground)
+                .map(|_| ())
         });
     });
     group.finish();

@@ -1,0 +1,35 @@
+//! Inverting an increasing function of one variable: how radial distortions are undone.
+
+/// Where an increasing `f` on `[0, end]` takes the value `target`, which must lie between `f(0) = 0` and `f(end)`;
+/// `f` gives value and slope, `start` is a first guess.
+#[inline]
+pub(super) fn invert(f: impl Fn(f64) -> [f64; 2], target: f64, start: f64, end: f64) -> f64 {
+    // Newton's steps, and halving where one would leave the bracket.
+    let (mut low, mut high) = (0.0, end);
+    let mut x = if (low..=high).contains(&start) {
+        start
+    } else {
+        0.5 * high
+    };
+    for _ in 0..60 {
+        let [value, slope] = f(x);
+        let miss = target - value;
+        if miss < 0.0 {
+            high = x;
+        } else {
+            low = x;
+        }
+        let next = x + miss / slope;
+        if !(low..=high).contains(&next) {
+            x = 0.5 * (low + high);
+            continue;
+        }
+        let step = next - x;
+        x = next;
+        // What is left is of the order of the step's square, over the slope.
+        if step.abs() <= 1e-6 * slope {
+            break;
+        }
+    }
+    x
+}
