@@ -14,6 +14,8 @@
 //! networks trained the reference's way expect). For the slope, `HeadSize` upsamples the *tangent of the expected
 //! angle*. Where heads already have the output's size both are the same.
 //!
+//! Networks exported from the reference implementation fuse in an order of their own: [`ReferenceFusion`].
+//!
 //! # Output
 //!
 //! Planar depth in metres, row-major, clamped to a [`DepthRange`]; never NaN. Where there is no ground `z_ground` is 0,
@@ -31,11 +33,13 @@
 
 mod decode;
 mod head;
+mod reference;
 mod upsample;
 
 pub use head::{
     AttentionHead, AttentionUnit, DecodeAt, HeadMap, ResidualHead, ResidualUnit, Samples, SlopeHead,
 };
+pub use reference::{ReferenceFusion, reference_scratch_len};
 pub use upsample::Upsampling;
 
 pub use crate::error::Head;

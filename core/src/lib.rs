@@ -44,6 +44,7 @@
 
 pub mod camera;
 pub mod fusion;
+pub mod metrics;
 pub mod slope;
 pub mod table;
 
