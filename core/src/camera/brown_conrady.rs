@@ -7,6 +7,8 @@
 //! y' = y g + p1 (r^2 + 2 y^2) + 2 p2 x y          / (1 + k4 r^2 + k5 r^4 + k6 r^6)
 //! ```
 
+use core::ops::RangeInclusive;
+
 use glam::{DVec2, DVec3};
 
 use super::{CameraModel, ImageSize, Intrinsics, Pixel, check_coefficients, monotone};
@@ -15,9 +17,9 @@ use crate::{Angle, CameraFrame, Direction, Error, Point};
 
 /// A camera with radial and tangential distortion.
 ///
-/// It sees the cone around the optical axis within which the distortion neither folds nor nearly folds: its Jacobian,
-/// which is symmetric, stays positive definite with a determinant of 1e-3 or more (checked on 32 meridians), so that no two
-/// rays share a pixel. The cone reaches at most 89 degrees from the axis. Polynomials of narrow lenses turn back not far
+/// It sees the cone around the optical axis within which the distortion neither folds nor tears: its Jacobian, which is
+/// symmetric, stays positive definite with a determinant of 1e-3 to 1e3 (checked on 32 meridians), so that no two rays share
+/// a pixel. The cone reaches at most 89 degrees from the axis. Polynomials of narrow lenses turn back not far
 /// beyond the corners of their picture; there is no ray there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BrownConrady {
@@ -29,7 +31,7 @@ pub struct BrownConrady {
 }
 
 const ANGLE_MAX: Angle = Angle::from_degrees(89.0);
-const DETERMINANT_MIN: f64 = 1e-3;
+const DETERMINANT: RangeInclusive<f64> = 1e-3..=1e3;
 const MERIDIANS: u32 = 32;
 
 impl BrownConrady {
@@ -105,10 +107,11 @@ impl BrownConrady {
         Some((moved, jacobian))
     }
 
-    /// Whether the Jacobian at `p` is positive definite, and not nearly singular.
+    /// Whether the Jacobian at `p` is positive definite, and neither nearly singular nor huge.
     fn is_regular(&self, p: DVec2) -> bool {
-        self.distorted(p)
-            .is_some_and(|(_, [xx, xy, yy])| xx * yy - xy * xy >= DETERMINANT_MIN && xx + yy > 0.0)
+        self.distorted(p).is_some_and(|(_, [xx, xy, yy])| {
+            DETERMINANT.contains(&(xx * yy - xy * xy)) && xx + yy > 0.0
+        })
     }
 
     /// The point that the distortion moves to `target`.

@@ -3,6 +3,8 @@
 //! The angle `t` from the optical axis becomes the radius `t P(t^2)` on the image plane, with
 //! `P(s) = 1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4`.
 
+use core::ops::RangeInclusive;
+
 use glam::{DVec2, DVec3};
 
 use super::{
@@ -14,9 +16,9 @@ use crate::{Angle, CameraFrame, Direction, Error, Point};
 
 /// A fisheye camera with four coefficients.
 ///
-/// It sees the cone around the optical axis within which the radius grows with the angle (slope 1e-3 and more), up to 179
-/// degrees from the axis; beyond there is no ray, since two rays would claim one pixel. Rays at 90 degrees and more have no
-/// planar depth, so tables hold no ground there.
+/// It sees the cone around the optical axis within which the radius grows with the angle, by 0.01 to 100 per radian, up to
+/// 179 degrees from the axis; beyond there is no ray, since two rays would claim one pixel. Rays at 90 degrees and more have
+/// no planar depth, so tables hold no ground there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KannalaBrandt {
     intrinsics: Intrinsics,
@@ -32,7 +34,7 @@ pub struct KannalaBrandt {
 }
 
 const ANGLE_MAX: Angle = Angle::from_degrees(179.0);
-const SLOPE_MIN: f64 = 1e-3;
+const SLOPE: RangeInclusive<f64> = 1e-2..=1e2;
 const INTERVALS: usize = 32;
 
 impl KannalaBrandt {
@@ -54,7 +56,7 @@ impl KannalaBrandt {
         let angle = valid_until(ANGLE_MAX.radians(), |angle| {
             let s = angle * angle;
             let [p, slope] = camera.polynomial(s);
-            p + 2.0 * s * slope >= SLOPE_MIN
+            SLOPE.contains(&(p + 2.0 * s * slope))
         });
         camera.limit = angle * angle;
         camera.limit_radius = camera.radius_squared(camera.limit)[0];
@@ -105,10 +107,9 @@ impl KannalaBrandt {
         monotone::invert(|s| self.radius_squared(s), squared, start, self.limit)
     }
 
-    /// The ray through the point (x, y) of the image plane: its x and y as the same multiple of (x, y), its z, and a common
-    /// factor that makes its length 1.
+    /// The ray through the point (x, y) of the image plane: its x and y as the same multiple of (x, y), and its z.
     #[inline]
-    fn ray(&self, x: f64, y: f64) -> Option<[f64; 3]> {
+    fn ray(&self, x: f64, y: f64) -> Option<[f64; 2]> {
         // Everything is even in the angle, so that squares are enough: no root is taken.
         let squared = x * x + y * y;
         // Also false for NaN.
@@ -120,8 +121,7 @@ impl KannalaBrandt {
         let [before, after] = *self.start.get(index..)?.first_chunk::<2>()?;
         let s = self.angle_squared(squared, cubic(before, after, place - index as f64));
         let (sinc, cos) = sinc_cos(s);
-        let p = self.polynomial(s)[0];
-        Some([sinc, p * cos, p])
+        Some([sinc, self.polynomial(s)[0] * cos])
     }
 }
 
@@ -186,15 +186,14 @@ impl CameraModel for KannalaBrandt {
 
     fn unproject(&self, pixel: Pixel) -> Option<Direction<CameraFrame>> {
         let (x, y) = self.intrinsics.image_plane(pixel);
-        let [across, along, length] = self.ray(x, y)?;
-        let ray = DVec3::new(x * across, y * across, along) / length;
-        Some(Direction::from_unit(ray))
+        let [across, along] = self.ray(x, y)?;
+        Direction::new(x * across, y * across, along).ok()
     }
 
     #[inline]
     fn forward_ray(&self, pixel: Pixel) -> Option<DVec2> {
         let (x, y) = self.intrinsics.image_plane(pixel);
-        let [across, along, _] = self.ray(x, y)?;
+        let [across, along] = self.ray(x, y)?;
         let scale = across / along;
         (along > 0.0 && scale < FORWARD_MAX).then_some(DVec2::new(x * scale, y * scale))
     }

@@ -26,8 +26,8 @@ pub(super) fn invert(f: impl Fn(f64) -> [f64; 2], target: f64, start: f64, end: 
         }
         let step = next - x;
         x = next;
-        // What is left is of the order of the step's square, over the slope.
-        if step.abs() <= 1e-6 * slope {
+        // What is left is of the order of the square of the step, and more where the function is flat.
+        if step.abs() <= 1e-6 * slope.min(1.0) {
             break;
         }
     }

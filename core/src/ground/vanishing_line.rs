@@ -17,7 +17,7 @@ impl Ground {
     /// sky, or one pixel.
     ///
     /// The line is straight for a pinhole, curved otherwise; where a distortion makes it cross more than twice these are
-    /// the two points farthest apart. The left (for an upright line: upper) end comes first.
+    /// the two points farthest apart. The left end comes first.
     pub fn vanishing_line<C: CameraModel + ?Sized>(&self, camera: &C) -> Option<[Pixel; 2]> {
         let mut ends: Vec<Pixel, CROSSINGS> = Vec::new();
         self.cross_frame(camera, &mut ends);
