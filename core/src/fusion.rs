@@ -29,7 +29,7 @@
 //!
 //! # Errors and panics
 //!
-//! Lengths and non-finite head values are errors; after an error outputs hold a part of the picture. Nothing panics.
+//! Lengths and non-finite head values (in rows that are read: all, unless a head is made smaller) are errors; after an error outputs hold a part of the picture. Nothing panics.
 
 mod decode;
 mod head;
