@@ -185,8 +185,6 @@ pub enum Error {
     },
     /// The threshold for comparing point clouds is not finite or not positive.
     CloudThreshold(f64),
-    /// A point cloud has more than 2^32 - 1 points.
-    CloudLength(usize),
 }
 
 /// One of the three outputs of a network.
@@ -238,7 +236,6 @@ impl Error {
             Self::HeadSize { .. } => 609,
             Self::DistanceIntervals { .. } => 701,
             Self::CloudThreshold(_) => 702,
-            Self::CloudLength(_) => 703,
         }
     }
 }
@@ -377,9 +374,6 @@ impl fmt::Display for Error {
                     f,
                     "point cloud threshold {value} m: must be positive and finite"
                 )
-            }
-            Self::CloudLength(points) => {
-                write!(f, "point cloud of {points} points: at most 4294967295")
             }
         }
     }

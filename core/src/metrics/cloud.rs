@@ -29,10 +29,14 @@ pub struct CloudMetrics {
     pub iou: f64,
 }
 
-/// Scratch values that comparing clouds of so many points needs.
+/// Scratch values that comparing clouds of so many points needs; for more than 2^32 - 1 points, which are not supported,
+/// more than there can be.
 pub const fn cloud_scratch_len(predicted: usize, truth: usize) -> usize {
     let larger = if predicted > truth { predicted } else { truth };
-    2 * larger + 1
+    if larger > u32::MAX as usize {
+        return usize::MAX;
+    }
+    larger.saturating_mul(2).saturating_add(1)
 }
 
 impl CloudMatches {
@@ -52,8 +56,8 @@ impl CloudMatches {
     /// Takes time in proportion to the number of points, as long as clouds are not far denser than the threshold.
     ///
     /// # Errors
-    /// [`Error::CloudThreshold`] if `threshold` is not positive and finite, [`Error::ScratchLength`],
-    /// [`Error::CloudLength`] beyond 2^32 - 1 points. Nothing is counted then.
+    /// [`Error::CloudThreshold`] if `threshold` is not positive and finite, [`Error::ScratchLength`]. Nothing is counted
+    /// then.
     pub fn add<F: Frame>(
         &mut self,
         predicted: &[Point<F>],
@@ -70,11 +74,6 @@ impl CloudMatches {
                 needed,
                 given: scratch.len(),
             });
-        }
-        for points in [predicted.len(), truth.len()] {
-            if u32::try_from(points).is_err() {
-                return Err(Error::CloudLength(points));
-            }
         }
         let matched_predicted = matches(predicted, truth, threshold, scratch);
         let matched_truth = matches(truth, predicted, threshold, scratch);
