@@ -134,7 +134,7 @@ fn cubic([a, a_slope]: [f64; 2], [b, b_slope]: [f64; 2], t: f64) -> f64 {
     a + t * (rise + (1.0 - t) * (left + t * (right - left)))
 }
 
-/// `sin t / t` and `cos t` for `s = t^2` up to pi^2, to 1e-15: the series of the half angle, and its doubling.
+/// `sin t / t` and `cos t` for `s = t^2` up to pi^2, to 1e-14: the series of the half angle, and its doubling.
 #[inline]
 fn sinc_cos(s: f64) -> (f64, f64) {
     let h = s / 4.0;
@@ -196,5 +196,23 @@ impl CameraModel for KannalaBrandt {
         let [across, along] = self.ray(x, y)?;
         let scale = across / along;
         (along > 0.0 && scale < FORWARD_MAX).then_some(DVec2::new(x * scale, y * scale))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::sinc_cos;
+
+    #[test]
+    fn series_up_to_180_degrees() {
+        for i in 0..=3141 {
+            let t = f64::from(i) * 1e-3;
+            let (sinc, cos) = sinc_cos(t * t);
+            let truth = if t > 0.0 { t.sin() / t } else { 1.0 };
+            assert!((sinc - truth).abs() < 1e-14, "sin({t}) / {t} is {sinc}");
+            assert!((cos - t.cos()).abs() < 1e-14, "cos({t}) is {cos}");
+        }
     }
 }

@@ -227,3 +227,38 @@ fn widen_pixel<const S: usize>(
         };
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec;
+    use std::vec::Vec;
+
+    use super::{Columns, Upsampling};
+
+    /// The fast ways for two and four times give the very bytes of the general one.
+    #[test]
+    fn fast_columns_are_the_general_ones() {
+        for (columns, factor) in [(Columns::Twice, 2), (Columns::FourTimes, 4)] {
+            for width in [1_u32, 2, 3, 4, 7, 64] {
+                let row: Vec<f32> = (0..width).map(|i| (i as f32 * 1.7).sin() * 10.0).collect();
+                let length = (width * factor) as usize;
+                let (mut before, mut share) = (vec![0.0; length], vec![0.0; length]);
+                for (u, (before, share)) in before.iter_mut().zip(&mut share).enumerate() {
+                    let (column, _, weight) =
+                        Upsampling::HalfPixel.sample(u as u32, width, width * factor);
+                    (*before, *share) = (f32::from_bits(column), weight);
+                }
+                let general = Columns::Any {
+                    before: &mut before,
+                    share: &mut share,
+                };
+                let (mut fast, mut slow) = (vec![0.0; length], vec![1.0; length]);
+                columns.widen(&row, &mut fast);
+                general.widen(&row, &mut slow);
+                assert_eq!(fast, slow, "{width} columns, {factor} times");
+            }
+        }
+    }
+}
