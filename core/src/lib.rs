@@ -12,7 +12,7 @@
 //!   more from the axis has no depth.
 //! - **Inverse ground depth** `1 / z`, in 1/m, is what tables hold. It is positive below the vanishing line,
 //!   zero on it and negative above it; the depth itself is 0 on and above the line.
-//! - **Pixels** ([`Pixel`]): u right, v down, integer coordinates are pixel *centres*; pictures and tables are
+//! - **Pixels** ([`camera::Pixel`]): u right, v down, integer coordinates are pixel *centres*; pictures and tables are
 //!   row-major, `index = v * width + u`.
 //! - **Angles** are [`Angle`]s. A **slope** is positive where the road falls away (downhill), the paper's Eq. 6.
 //!

@@ -1,6 +1,6 @@
 //! The reference implementation's fusion: its own numbers at edge cases, and a small case computed with PyTorch from the
 //! description in `fusion/reference.rs`.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::excessive_precision)]
 
 use gedepth_core::camera::ImageSize;
 use gedepth_core::fusion::{
