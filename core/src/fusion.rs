@@ -29,7 +29,8 @@
 //!
 //! # Errors and panics
 //!
-//! Lengths and non-finite head values (in rows that are read: all, unless a head is made smaller) are errors; after an error outputs hold a part of the picture. Nothing panics.
+//! Wrong lengths are errors, and so are head values that are not finite (in rows that are read: all, unless a head is made
+//! smaller); after an error outputs hold a part of the picture. Nothing panics.
 
 mod decode;
 mod head;
@@ -106,13 +107,13 @@ pub const fn scratch_len(output: ImageSize, head_width: u32, slope_classes: usiz
     let (out, head) = (output.width() as usize, head_width as usize);
     // Rows of ground, attention and tangents; the residual is made in the output.
     let rows = 3 * out;
-    let planes = 2 * upsample::scratch_len(1, head, out);
+    let planes = upsample::scratch_len(1, head, out).saturating_mul(2);
     let slope = if slope_classes > 0 {
         decode::slope_scratch_len(slope_classes, head, out)
     } else {
         0
     };
-    rows + planes + slope
+    rows.saturating_add(planes).saturating_add(slope)
 }
 
 impl Fusion {

@@ -177,7 +177,7 @@ fn clouds_that_are_refused_and_odd_points() {
     );
     assert_eq!(matches, CloudMatches::default());
     #[cfg(target_pointer_width = "64")]
-    assert_eq!(cloud_scratch_len(1, u32::MAX as usize + 1), usize::MAX);
+    assert_eq!(cloud_scratch_len(1, u32::MAX as usize), usize::MAX);
     matches.add(&cloud, &odd, 0.1, &mut [0; 9]).unwrap();
     let m = matches.metrics().unwrap();
     assert_eq!((m.precision, m.recall), (1.0, 0.25));

@@ -246,7 +246,8 @@ pub(super) const fn slope_scratch_len(
     } else {
         output_width
     };
-    upsample::scratch_len(classes, input_width, output_width) + (classes + 2) * wider
+    let rows = classes.saturating_add(2).saturating_mul(wider);
+    upsample::scratch_len(classes, input_width, output_width).saturating_add(rows)
 }
 
 impl<'a, 's> SlopeTangent<'a, 's> {

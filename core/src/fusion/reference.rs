@@ -33,13 +33,14 @@ pub const fn reference_scratch_len(
 ) -> usize {
     let (input, decoder) = (input.width() as usize, decoder_width as usize);
     let slope = if slope_classes > 0 {
-        input + super::decode::slope_scratch_len(slope_classes, slope_width as usize, input)
+        super::decode::slope_scratch_len(slope_classes, slope_width as usize, input)
+            .saturating_add(input)
     } else {
         0
     };
-    let down = upsample::scratch_len(2, input, decoder) + 2 * decoder;
+    let down = upsample::scratch_len(2, input, decoder).saturating_add(2 * decoder);
     let up = upsample::scratch_len(1, decoder, input);
-    slope + down + up
+    slope.saturating_add(down).saturating_add(up)
 }
 
 impl ReferenceFusion {

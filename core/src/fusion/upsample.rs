@@ -34,7 +34,11 @@ impl Upsampling {
 /// Scratch that an upsampler of so many channels takes: two source rows of each, the mixture of two, and two numbers for
 /// each output column.
 pub(super) const fn scratch_len(channels: usize, input_width: usize, output_width: usize) -> usize {
-    (2 * channels + 1) * input_width + 2 * output_width
+    channels
+        .saturating_mul(2)
+        .saturating_add(1)
+        .saturating_mul(input_width)
+        .saturating_add(2 * output_width)
 }
 
 /// What is upsampled. A trait and not a closure: closures cannot be `#[inline(always)]`, and what is not inlined does not

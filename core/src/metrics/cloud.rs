@@ -29,11 +29,11 @@ pub struct CloudMetrics {
     pub iou: f64,
 }
 
-/// Scratch values that comparing clouds of so many points needs; for more than 2^32 - 1 points, which are not supported,
+/// Scratch values that comparing clouds of so many points needs; for 2^32 - 1 points and more, which are not supported,
 /// more than there can be.
 pub const fn cloud_scratch_len(predicted: usize, truth: usize) -> usize {
     let larger = if predicted > truth { predicted } else { truth };
-    if larger > u32::MAX as usize {
+    if larger >= u32::MAX as usize {
         return usize::MAX;
     }
     larger.saturating_mul(2).saturating_add(1)

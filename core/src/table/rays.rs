@@ -22,7 +22,7 @@ pub struct RayView<'a> {
 impl<'a> RayView<'a> {
     /// Values that the rays of a picture of this size take.
     pub const fn len(size: ImageSize) -> usize {
-        2 * size.pixels()
+        size.pixels().saturating_mul(2)
     }
 
     /// Unprojects every pixel of `camera`, into the start of `values`.
