@@ -62,6 +62,9 @@ mod ground;
 mod pose;
 mod scalar;
 
+/// The vectors of this interface.
+pub use glam;
+
 pub use angle::Angle;
 pub use error::Error;
 pub use frame::{CameraFrame, Direction, Frame, Point, WorldFrame};
