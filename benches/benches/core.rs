@@ -3,6 +3,8 @@
 //! `cargo bench -p gedepth-benches --bench core`. Limits, at 1216x352: pinhole table 1.5 fills, rebuild 3 fills,
 //! Kannala-Brandt table 40 ns a pixel (17.1 ms), adaptive fusion 1.0 ms, vanilla 0.5 ms.
 
+#![allow(missing_docs, clippy::expect_used)]
+
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
