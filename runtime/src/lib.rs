@@ -24,12 +24,14 @@ pub mod picture;
 pub mod render;
 
 mod calibration;
+mod engine;
 mod error;
 mod estimator;
 mod model;
 mod preprocess;
 
 pub use calibration::{Calibration, Camera, json, kitti};
+pub use engine::{Engine, Kernel};
 pub use error::Error;
 pub use estimator::{Estimate, Estimator, OutputSize, StageTimes};
 pub use model::{Model, Size};
