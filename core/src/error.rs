@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use crate::camera::ImageSize;
+
 /// What was wrong, with which value, and what would be right.
 ///
 /// [`Error::code`] numbers are part of the interface: they are never changed nor used again for something else.
@@ -132,6 +134,13 @@ pub enum Error {
         /// Values given.
         given: usize,
     },
+    /// A head has another size than it must have.
+    HeadSize {
+        /// The size it must have.
+        needed: ImageSize,
+        /// Its size.
+        given: ImageSize,
+    },
     /// A head that must have one channel has more.
     HeadChannels {
         /// Channels given.
@@ -167,6 +176,15 @@ pub enum Error {
         /// Values given.
         given: usize,
     },
+    /// Upper limits of distance intervals that do not ascend from 0, or that differ between merged accumulators.
+    DistanceIntervals {
+        /// The place of the limit, from 0.
+        index: usize,
+        /// The limit, metres.
+        limit: f32,
+    },
+    /// The threshold for comparing point clouds is not finite or not positive.
+    CloudThreshold(f64),
 }
 
 /// One of the three outputs of a network.
@@ -215,6 +233,9 @@ impl Error {
             Self::GroundLimit(_) => 606,
             Self::OutputLength { .. } => 607,
             Self::ScratchLength { .. } => 608,
+            Self::HeadSize { .. } => 609,
+            Self::DistanceIntervals { .. } => 701,
+            Self::CloudThreshold(_) => 702,
         }
     }
 }
@@ -225,7 +246,7 @@ impl fmt::Display for Error {
             Self::ImageSize { width, height } => write!(
                 f,
                 "picture size {width}x{height}: each side must be 1 to {}",
-                crate::camera::ImageSize::MAX_SIDE
+                ImageSize::MAX_SIDE
             ),
             Self::FocalLength(value) => {
                 write!(f, "focal length {value} px: must be in 0.01 to 1e7")
@@ -308,6 +329,14 @@ impl fmt::Display for Error {
             Self::HeadLength { needed, given } => {
                 write!(f, "head holds {given} values, its shape needs {needed}")
             }
+            Self::HeadSize { needed, given } => write!(
+                f,
+                "head is {}x{}, must be {}x{}",
+                given.width(),
+                given.height(),
+                needed.width(),
+                needed.height()
+            ),
             Self::HeadChannels { given } => {
                 write!(f, "head has {given} channels, must have 1")
             }
@@ -335,6 +364,16 @@ impl fmt::Display for Error {
             }
             Self::ScratchLength { needed, given } => {
                 write!(f, "scratch holds {given} values, {needed} are needed")
+            }
+            Self::DistanceIntervals { index, limit } => write!(
+                f,
+                "upper limit {index} of the distance intervals is {limit} m: limits must ascend from 0, and be the same to merge"
+            ),
+            Self::CloudThreshold(value) => {
+                write!(
+                    f,
+                    "point cloud threshold {value} m: must be positive and finite"
+                )
             }
         }
     }

@@ -14,6 +14,8 @@
 //! networks trained the reference's way expect). For the slope, `HeadSize` upsamples the *tangent of the expected
 //! angle*. Where heads already have the output's size both are the same.
 //!
+//! Networks exported from the reference implementation fuse in an order of their own: [`ReferenceFusion`].
+//!
 //! # Output
 //!
 //! Planar depth in metres, row-major, clamped to a [`DepthRange`]; never NaN. Where there is no ground `z_ground` is 0,
@@ -27,15 +29,18 @@
 //!
 //! # Errors and panics
 //!
-//! Lengths and non-finite head values are errors; after an error outputs hold a part of the picture. Nothing panics.
+//! Wrong lengths are errors, and so are head values that are not finite (in rows that are read: all, unless a head is made
+//! smaller); after an error outputs hold a part of the picture. Nothing panics.
 
 mod decode;
 mod head;
+mod reference;
 mod upsample;
 
 pub use head::{
     AttentionHead, AttentionUnit, DecodeAt, HeadMap, ResidualHead, ResidualUnit, Samples, SlopeHead,
 };
+pub use reference::{ReferenceFusion, reference_scratch_len};
 pub use upsample::Upsampling;
 
 pub use crate::error::Head;
@@ -44,7 +49,7 @@ pub(crate) use decode::exp;
 use crate::Error;
 use crate::camera::ImageSize;
 use crate::table::{GroundRows, MIN_INVERSE_DEPTH};
-use decode::Plane;
+use decode::{Plane, SlopeTangent};
 
 /// The range that output depths are clamped to, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -102,13 +107,13 @@ pub const fn scratch_len(output: ImageSize, head_width: u32, slope_classes: usiz
     let (out, head) = (output.width() as usize, head_width as usize);
     // Rows of ground, attention and tangents; the residual is made in the output.
     let rows = 3 * out;
-    let planes = 2 * upsample::scratch_len(1, head, out);
+    let planes = upsample::scratch_len(1, head, out).saturating_mul(2);
     let slope = if slope_classes > 0 {
         decode::slope_scratch_len(slope_classes, head, out)
     } else {
         0
     };
-    rows + planes + slope
+    rows.saturating_add(planes).saturating_add(slope)
 }
 
 impl Fusion {
@@ -151,7 +156,7 @@ impl Fusion {
         for (v, depth) in (0..).zip(depth.chunks_exact_mut(output.width() as usize)) {
             residual.row(v, depth)?;
             for depth in depth {
-                *depth = depth.max(self.depth.min).min(self.depth.max);
+                *depth = decode::clamp(*depth, self.depth.min, self.depth.max);
             }
         }
         Ok(())
@@ -172,9 +177,7 @@ impl Fusion {
         maps: FusedMaps<'_>,
     ) -> Result<(), Error> {
         let mut scratch = Scratch::new(scratch);
-        self.fuse(ground, residual, attention, &mut scratch, maps, |_, _| {
-            Ok(())
-        })
+        self.fuse(ground, None, residual, attention, &mut scratch, maps)
     }
 
     /// Adaptive: ground depth from the plane and the expected slope,
@@ -195,34 +198,27 @@ impl Fusion {
         let output = ground.size();
         let mut scratch = Scratch::new(scratch);
         let tangents = scratch.take(output.width() as usize)?;
-        let mut tangent = decode::SlopeTangent::new(slope, self.upsampling, output, &mut scratch)?;
-        let per_height = 1.0 / ground.camera_height();
+        let slope = SlopeTangent::new(slope, self.upsampling, output, &mut scratch)?;
         self.fuse(
             ground,
+            Some((slope, tangents)),
             residual,
             attention,
             &mut scratch,
             maps,
-            |v, inverse| {
-                tangent.row(v, tangents)?;
-                for (inverse, tangent) in inverse.iter_mut().zip(tangents.iter()) {
-                    *inverse -= tangent * per_height;
-                }
-                Ok(())
-            },
         )
     }
 
-    /// Fuses row by row; `slope` turns the plane's inverse depths of a row into the sloped ground's.
+    /// Fuses row by row; `slope` comes with memory for a row of its tangents.
     #[inline(always)]
     fn fuse<'s, G: GroundRows + ?Sized>(
         &self,
         ground: &G,
+        mut slope: Option<(SlopeTangent<'_, 's>, &'s mut [f32])>,
         residual: &ResidualHead<'_>,
         attention: &AttentionHead<'_>,
         scratch: &mut Scratch<'s>,
         mut maps: FusedMaps<'_>,
-        mut slope: impl FnMut(u32, &mut [f32]) -> Result<(), Error>,
     ) -> Result<(), Error> {
         let output = ground.size();
         let width = output.width() as usize;
@@ -232,11 +228,17 @@ impl Fusion {
         }
         let mut residual = Plane::residual(residual, self.upsampling, output, scratch)?;
         let mut attention = Plane::attention(attention, self.upsampling, output, scratch)?;
+        let per_height = 1.0 / ground.camera_height();
         let ground_row = scratch.take(width)?;
         let attention_row = scratch.take(width)?;
         for (v, depth_row) in (0..).zip(maps.depth.chunks_exact_mut(width)) {
             ground.write_row(v, ground_row)?;
-            slope(v, ground_row)?;
+            if let Some((slope, tangents)) = &mut slope {
+                slope.row(v, tangents)?;
+                for (inverse, tangent) in ground_row.iter_mut().zip(tangents.iter()) {
+                    *inverse -= tangent * per_height;
+                }
+            }
             residual.row(v, depth_row)?;
             attention.row(v, attention_row)?;
             for ((depth, ground), m) in depth_row
@@ -250,9 +252,8 @@ impl Fusion {
                     0.0
                 };
                 *ground = z;
-                *depth = (*depth + m * (z - *depth))
-                    .max(self.depth.min)
-                    .min(self.depth.max);
+                let fused = *depth + m * (z - *depth);
+                *depth = decode::clamp(fused, self.depth.min, self.depth.max);
             }
             let row = v as usize * width..(v as usize + 1) * width;
             if let Some(map) = maps.attention.as_mut().and_then(|m| m.get_mut(row.clone())) {

@@ -2,7 +2,9 @@
 //!
 //! World and camera frames as in [`crate::frame`](crate#frames-units-and-signs), metres. Nothing panics.
 
-use glam::DVec3;
+mod vanishing_line;
+
+use glam::{DVec2, DVec3};
 
 use crate::{Angle, CameraFrame, Direction, Error, Extrinsics, Mounting, Point, WorldFrame};
 
@@ -115,15 +117,10 @@ impl Ground {
         self.height
     }
 
-    /// The inverse of the ground's depth `z` on this ray, 1/m: positive where the ray meets the ground, 0 where it runs
-    /// along it, negative where it rises. `None` for rays at 90 degrees or more from the optical axis, which have no
-    /// depth.
-    pub fn inverse_depth(&self, ray: Direction<CameraFrame>) -> Option<f64> {
-        let r = ray.vector();
-        (r.z > Self::FORWARD_MIN).then(|| self.down.vector().dot(r) / (r.z * self.height))
+    /// The inverse of the ground's depth `z`, 1/m, on the ray through `point` at z = 1
+    /// ([`CameraModel::forward_ray`](crate::camera::CameraModel::forward_ray)): positive where the ray meets the ground, 0
+    /// where it runs along it, negative where it rises.
+    pub fn inverse_depth(&self, point: DVec2) -> f64 {
+        self.down.vector().dot(point.extend(1.0)) / self.height
     }
-
-    /// The cosine of the largest angle from the axis that still counts as forward (89.99994 degrees), so that inverse
-    /// depths stay far inside the range of `f32`.
-    const FORWARD_MIN: f64 = 1e-6;
 }

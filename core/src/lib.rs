@@ -12,7 +12,7 @@
 //!   more from the axis has no depth.
 //! - **Inverse ground depth** `1 / z`, in 1/m, is what tables hold. It is positive below the vanishing line,
 //!   zero on it and negative above it; the depth itself is 0 on and above the line.
-//! - **Pixels** ([`Pixel`]): u right, v down, integer coordinates are pixel *centres*; pictures and tables are
+//! - **Pixels** ([`camera::Pixel`]): u right, v down, integer coordinates are pixel *centres*; pictures and tables are
 //!   row-major, `index = v * width + u`.
 //! - **Angles** are [`Angle`]s. A **slope** is positive where the road falls away (downhill), the paper's Eq. 6.
 //!
@@ -35,6 +35,13 @@
 //! # Ok::<(), gedepth_core::Error>(())
 //! ```
 //!
+//! # Memory
+//!
+//! Tables and scratch are the caller's, their lengths `const fn`s. Types are small (`KannalaBrandt` 632 bytes,
+//! `SlopeClasses` 264, all others, but for owned tables and binned accumulators, at most 168; `tests/footprint.rs` asserts every one). No call recurses.
+//! Optimized for x86-64, cameras, tables, the vanishing line and metrics take at most 4 KiB of stack, fusion at most 6 KiB,
+//! its callers' frames included; asserted too.
+//!
 //! # Panics
 //!
 //! Nothing in this crate panics, whatever the arguments: what cannot be done is an [`Error`], what a camera does
@@ -44,6 +51,7 @@
 
 pub mod camera;
 pub mod fusion;
+pub mod metrics;
 pub mod slope;
 pub mod table;
 

@@ -52,12 +52,10 @@ impl Extrinsics {
         let difference = rotation * rotation.transpose() - DMat3::IDENTITY;
         let mut deviation: f64 = 0.0;
         for entry in difference.to_cols_array() {
-            // `max` would lose a NaN.
-            if !(entry.abs() <= deviation) {
-                deviation = entry.abs();
-            }
+            deviation = deviation.max(entry.abs());
         }
-        if !(deviation <= Self::ORTHONORMAL_TOLERANCE) {
+        // `max` loses a NaN.
+        if difference.is_nan() || deviation > Self::ORTHONORMAL_TOLERANCE {
             return Err(Error::NotARotation { deviation });
         }
         let determinant = rotation.determinant();

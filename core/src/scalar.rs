@@ -3,10 +3,6 @@
 
 use glam::DVec2;
 
-pub(crate) fn sqrt(x: f64) -> f64 {
-    DVec2::splat(x).sqrt().x
-}
-
 pub(crate) fn sin_cos(radians: f64) -> (f64, f64) {
     let unit = DVec2::from_angle(radians);
     (unit.y, unit.x)
@@ -23,4 +19,8 @@ pub(crate) fn atan2(y: f64, x: f64) -> f64 {
 
 pub(crate) fn floor(x: f64) -> f64 {
     DVec2::splat(x).floor().x
+}
+
+pub(crate) fn sqrt(x: f64) -> f64 {
+    DVec2::splat(x).sqrt().x
 }

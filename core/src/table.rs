@@ -9,18 +9,31 @@
 //! | form | memory | for |
 //! |---|---|---|
 //! | [`GroundLut`], [`GroundView`] | 4 bytes a pixel | every camera |
+//! | [`FixedLut`], [`FixedView`] | 2 bytes a pixel | every camera; planar depth, no sign above the line |
+//! | [`RowLut`], [`RowView`] | 4 bytes a row | pinholes that hardly roll |
 //! | [`GroundCoefficients`] | three numbers | pinholes |
+//!
+//! A new pitch or height of a camera whose rays were kept ([`RayLut`], [`RayView`]) rebuilds its table in place:
+//! [`GroundLut::rebuild`].
 //!
 //! Fusion reads any of them through [`GroundRows`]. Errors are about memory that is too small; nothing panics.
 
 mod coefficients;
+mod coverage;
+mod fixed_point;
 mod inverse_depth;
+mod per_row;
+mod rays;
 
 pub use coefficients::GroundCoefficients;
+pub use coverage::Coverage;
+pub use fixed_point::{FixedLut, FixedView, KittiLut};
 pub use inverse_depth::{GroundLut, GroundView};
+pub use per_row::{RowLut, RowTolerance, RowView};
+pub use rays::{RayLut, RayView};
 
-use crate::Error;
-use crate::camera::ImageSize;
+use crate::camera::{CameraModel, ImageSize, Pixel};
+use crate::{Error, Ground};
 
 /// The inverse depth of a pixel whose ray has no depth at all (outside the field of view, or at 90 degrees and more
 /// from the axis): so far above the vanishing line that no slope brings ground there.
@@ -91,4 +104,26 @@ fn table_memory<T>(values: &mut [T], size: ImageSize) -> Result<&mut [T], Error>
         needed: size.pixels(),
         given,
     })
+}
+
+/// Writes every pixel's inverse depth through `encode`, which gets [`NO_GROUND`] where there is no forward ray; `values` has
+/// the camera's number of pixels.
+fn fill<T, C: CameraModel + ?Sized>(
+    values: &mut [T],
+    camera: &C,
+    ground: &Ground,
+    encode: impl Fn(f64) -> T,
+) {
+    let rows = values.chunks_exact_mut(camera.size().width() as usize);
+    let down = ground.down().vector() / ground.height();
+    for (v, row) in (0_u32..).zip(rows) {
+        for (u, value) in (0_u32..).zip(row) {
+            let inverse = camera
+                .forward_ray(Pixel::new(f64::from(u), f64::from(v)))
+                .map(|point| down.dot(point.extend(1.0)))
+                // Only a foreign camera model can give anything else.
+                .filter(|inverse| inverse.is_finite());
+            *value = encode(inverse.unwrap_or(f64::from(NO_GROUND)));
+        }
+    }
 }

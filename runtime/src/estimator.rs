@@ -15,6 +15,7 @@ use crate::calibration::Calibration;
 use crate::contract::{Channel, Contract, GroundChannel};
 use crate::model::{Model, Network, Outputs, Size};
 use crate::preprocess::{Picture, Placement, Preprocessor};
+use crate::vectors::widest;
 
 /// At which size the depth is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -189,14 +190,16 @@ impl Estimator {
         };
         let ground = GroundView::from_values(&self.table, self.output, self.camera_height)
             .map_err(|e| heads.unfit(e))?;
-        fuse(
-            &self.contract,
-            &self.fusion,
-            &heads,
-            &ground,
-            &mut self.scratch,
-            maps,
-        )?;
+        widest(|| {
+            fuse(
+                &self.contract,
+                &self.fusion,
+                &heads,
+                &ground,
+                &mut self.scratch,
+                maps,
+            )
+        })?;
         let fused = Instant::now();
         Ok(Estimate {
             size: (self.output.width(), self.output.height()),
@@ -237,6 +240,7 @@ fn ground_value(form: GroundChannel, inverse: f32, contract: &Contract) -> f32 {
 }
 
 /// From the heads to depth.
+#[inline(always)]
 fn fuse(
     contract: &Contract,
     fusion: &Fusion,

@@ -29,6 +29,7 @@ mod error;
 mod estimator;
 mod model;
 mod preprocess;
+mod vectors;
 
 pub use calibration::{Calibration, Camera, json, kitti};
 pub use engine::{Engine, Kernel};

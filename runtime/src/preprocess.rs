@@ -1,7 +1,8 @@
 //! From the picture to the network's input: which part of the picture, at which size, and its normalised planes.
 
-use fast_image_resize::images::{Image, ImageRef};
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::U8x3;
+use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
 
 use crate::Error;
 use crate::contract::{Channel, Contract, Fit};
@@ -138,7 +139,7 @@ pub(crate) struct Preprocessor {
     options: ResizeOptions,
     resizer: Resizer,
     /// The region at the network's size.
-    resized: Image<'static>,
+    resized: TypedImage<'static, U8x3>,
     /// For each channel of the input: the colour's place in a pixel, the factor and the summand; `None` for the ground.
     channels: Vec<Option<(usize, f32, f32)>>,
 }
@@ -165,7 +166,7 @@ impl Preprocessor {
                     placement.region.1.into(),
                 ),
             resizer: Resizer::new(),
-            resized: Image::new(width, height, PixelType::U8x3),
+            resized: TypedImage::new(width, height),
             channels: contract
                 .channels
                 .iter()
@@ -186,17 +187,18 @@ impl Preprocessor {
             actual: picture.size,
             reason,
         };
-        let source = ImageRef::new(width, height, picture.rgb, PixelType::U8x3)
+        let source = TypedImageRef::<U8x3>::from_buffer(width, height, picture.rgb)
             .map_err(|e| unfit(e.to_string()))?;
+        // Typed, because the untyped call compiles every pixel format there is.
         self.resizer
-            .resize(&source, &mut self.resized, &self.options)
+            .resize_typed(&source, &mut self.resized, &self.options)
             .map_err(|e| unfit(e.to_string()))?;
-        let pixels = self.resized.buffer();
-        let plane_len = pixels.len() / 3;
+        let pixels = self.resized.pixels();
+        let plane_len = pixels.len();
         for (channel, plane) in self.channels.iter().zip(input.chunks_exact_mut(plane_len)) {
             if let &Some((colour, scale, shift)) = channel {
-                for (value, pixel) in plane.iter_mut().zip(pixels.as_chunks::<3>().0) {
-                    *value = f32::from(pixel[colour]) * scale + shift;
+                for (value, pixel) in plane.iter_mut().zip(pixels) {
+                    *value = f32::from(pixel.0[colour]) * scale + shift;
                 }
             }
         }

@@ -1,9 +1,9 @@
 //! The pinhole camera, with skew.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::{CameraModel, ImageSize, Intrinsics, Pixel};
-use crate::{CameraFrame, Direction, Point};
+use crate::{Angle, CameraFrame, Direction, Point};
 
 /// A camera without distortion. It sees every point in front of it (z > 0), and has a ray for every pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,6 +14,11 @@ pub struct Pinhole {
 impl Pinhole {
     /// The pinhole camera with these intrinsics.
     pub const fn new(intrinsics: Intrinsics) -> Self {
+        Self { intrinsics }
+    }
+
+    /// The camera of a cropped, resized, flipped or binned picture.
+    pub const fn with_intrinsics(self, intrinsics: Intrinsics) -> Self {
         Self { intrinsics }
     }
 
@@ -28,6 +33,10 @@ impl CameraModel for Pinhole {
         self.intrinsics.size()
     }
 
+    fn field_of_view(&self) -> Angle {
+        Angle::from_degrees(90.0)
+    }
+
     fn project(&self, point: Point<CameraFrame>) -> Option<Pixel> {
         let DVec3 { x, y, z } = point.vector();
         let pixel = self.intrinsics.pixel(x / z, y / z);
@@ -37,6 +46,11 @@ impl CameraModel for Pinhole {
     fn unproject(&self, pixel: Pixel) -> Option<Direction<CameraFrame>> {
         let (x, y) = self.intrinsics.image_plane(pixel);
         Direction::new(x, y, 1.0).ok()
+    }
+
+    fn forward_ray(&self, pixel: Pixel) -> Option<DVec2> {
+        let (x, y) = self.intrinsics.image_plane(pixel);
+        super::forward(DVec3::new(x, y, 1.0))
     }
 
     fn as_pinhole(&self) -> Option<&Intrinsics> {

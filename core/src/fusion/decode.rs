@@ -1,22 +1,30 @@
 //! From a head's values to metres, attention and the tangent of the slope, row by row; plain loops that vectorize.
 
-use super::head::{AttentionHead, AttentionUnit, DecodeAt, HeadMap, ResidualHead, ResidualUnit};
-use super::upsample::{self, Upsampler, Upsampling};
+use super::head::{
+    AttentionHead, AttentionUnit, DecodeAt, HeadMap, ResidualHead, ResidualUnit, check_finite,
+};
+use super::upsample::{self, SourceRows, Upsampler, Upsampling};
 use super::{Scratch, SlopeHead};
 use crate::Error;
 use crate::camera::ImageSize;
 use crate::error::Head;
-use crate::slope::SlopeClasses;
 
 /// Residuals are kept within this many metres, so that no difference of two overflows.
 const RESIDUAL_MAX: f32 = 1e6;
 
-/// `e^x`, to 2e-7 relative from -87 to 88; beyond, its value at the nearer end. NaN gives NaN or an end.
+/// `x` between `low` and `high`; NaN becomes `low`. One instruction each, where `f32::max` and `min` take three for NaN.
+#[inline(always)]
+pub(super) fn clamp(x: f32, low: f32, high: f32) -> f32 {
+    let x = if x > low { x } else { low };
+    if x < high { x } else { high }
+}
+
+/// `e^x`, to 2e-7 relative from -87 to 88; beyond, its value at the nearer end. NaN counts as -87.
 ///
 /// One polynomial, no branch, no table: it vectorizes, and gives the same bits on every processor.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    let x = x.max(-87.0).min(88.0);
+    let x = clamp(x, -87.0, 88.0);
     // x = n ln 2 + r. Adding 1.5 * 2^23 rounds to the nearest integer and leaves n in the low bits.
     const ROUND: f32 = 12_582_912.0;
     let shifted = x * core::f32::consts::LOG2_E + ROUND;
@@ -63,12 +71,12 @@ impl Decoding {
         match self {
             Self::Metres => {
                 for value in row {
-                    *value = value.max(-RESIDUAL_MAX).min(RESIDUAL_MAX);
+                    *value = clamp(*value, -RESIDUAL_MAX, RESIDUAL_MAX);
                 }
             }
             Self::LogMetres => {
                 for value in row {
-                    *value = exp(*value).min(RESIDUAL_MAX);
+                    *value = clamp(exp(*value), 0.0, RESIDUAL_MAX);
                 }
             }
             Self::Logit => {
@@ -78,7 +86,7 @@ impl Decoding {
             }
             Self::Probability => {
                 for value in row {
-                    *value = value.max(0.0).min(1.0);
+                    *value = clamp(*value, 0.0, 1.0);
                 }
             }
         }
@@ -87,11 +95,28 @@ impl Decoding {
 
 /// A head of one channel on its way to the output's size.
 pub(super) struct Plane<'a, 's> {
+    source: PlaneRows<'a>,
+    late: Option<Decoding>,
+    upsampler: Upsampler<'s>,
+}
+
+/// Its rows at its own size.
+struct PlaneRows<'a> {
     map: HeadMap<'a>,
     head: Head,
-    decoding: Decoding,
-    decode_at: DecodeAt,
-    upsampler: Upsampler<'s>,
+    decoding: Option<Decoding>,
+}
+
+impl SourceRows for PlaneRows<'_> {
+    #[inline(always)]
+    fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error> {
+        self.map.write_row(0, y, row);
+        check_finite(row, self.head)?;
+        if let Some(decoding) = self.decoding {
+            decoding.apply(row);
+        }
+        Ok(())
+    }
 }
 
 impl<'a, 's> Plane<'a, 's> {
@@ -105,14 +130,16 @@ impl<'a, 's> Plane<'a, 's> {
             ResidualUnit::Metres => Decoding::Metres,
             ResidualUnit::LogMetres => Decoding::LogMetres,
         };
-        head.map.single()?;
-        Ok(Self {
-            map: head.map,
-            head: Head::Residual,
+        let (map, at) = (head.map, head.decode_at);
+        Self::new(
+            map,
+            Head::Residual,
             decoding,
-            decode_at: head.decode_at,
-            upsampler: Upsampler::new(upsampling, 1, head.map.size(), output, scratch)?,
-        })
+            at,
+            upsampling,
+            output,
+            scratch,
+        )
     }
 
     pub(super) fn attention(
@@ -125,31 +152,48 @@ impl<'a, 's> Plane<'a, 's> {
             AttentionUnit::Logit => Decoding::Logit,
             AttentionUnit::Probability => Decoding::Probability,
         };
-        head.map.single()?;
-        Ok(Self {
-            map: head.map,
-            head: Head::Attention,
+        let (map, at) = (head.map, head.decode_at);
+        Self::new(
+            map,
+            Head::Attention,
             decoding,
-            decode_at: head.decode_at,
-            upsampler: Upsampler::new(upsampling, 1, head.map.size(), output, scratch)?,
+            at,
+            upsampling,
+            output,
+            scratch,
+        )
+    }
+
+    fn new(
+        map: HeadMap<'a>,
+        head: Head,
+        decoding: Decoding,
+        decode_at: DecodeAt,
+        upsampling: Upsampling,
+        output: ImageSize,
+        scratch: &mut Scratch<'s>,
+    ) -> Result<Self, Error> {
+        map.single()?;
+        let (early, late) = match decode_at {
+            DecodeAt::HeadSize => (Some(decoding), None),
+            DecodeAt::OutputSize => (None, Some(decoding)),
+        };
+        Ok(Self {
+            source: PlaneRows {
+                map,
+                head,
+                decoding: early,
+            },
+            late,
+            upsampler: Upsampler::new(upsampling, 1, map.size(), output, scratch)?,
         })
     }
 
     /// Writes the decoded output row `v`.
     #[inline(always)]
     pub(super) fn row(&mut self, v: u32, out: &mut [f32]) -> Result<(), Error> {
-        let (map, decoding, decode_at) = (&self.map, self.decoding, self.decode_at);
-        let not_finite = Error::HeadNotFinite(self.head);
-        self.upsampler.row(v, out, |y, row| {
-            if !map.read_row(0, y, row) {
-                return Err(not_finite);
-            }
-            if decode_at == DecodeAt::HeadSize {
-                decoding.apply(row);
-            }
-            Ok(())
-        })?;
-        if decode_at == DecodeAt::OutputSize {
+        self.upsampler.row(v, out, &mut self.source)?;
+        if let Some(decoding) = self.late {
             decoding.apply(out);
         }
         Ok(())
@@ -157,14 +201,36 @@ impl<'a, 's> Plane<'a, 's> {
 }
 
 /// The slope head on its way to the tangent of the expected slope at every output pixel.
-pub(super) struct SlopeTangent<'a, 's, const N: usize> {
+pub(super) enum SlopeTangent<'a, 's> {
+    /// Decoded at the head's size; tangents are upsampled.
+    HeadSize {
+        source: TangentRows<'a, 's>,
+        upsampler: Upsampler<'s>,
+    },
+    /// Logits are upsampled; decoded at the output's size.
+    OutputSize {
+        source: LogitRows<'a>,
+        upsampler: Upsampler<'s>,
+        logits: &'s mut [f32],
+        softmax: Softmax<'a, 's>,
+    },
+}
+
+/// Tangents at the head's size.
+pub(super) struct TangentRows<'a, 's> {
     map: HeadMap<'a>,
-    classes: &'a SlopeClasses<N>,
-    decode_at: DecodeAt,
-    /// Of tangents, or of logits.
-    upsampler: Upsampler<'s>,
-    /// A row of logits: of one class at the head's size, or of all at the output's.
     logits: &'s mut [f32],
+    softmax: Softmax<'a, 's>,
+}
+
+/// The logits of all classes at the head's size, class after class.
+pub(super) struct LogitRows<'a> {
+    map: HeadMap<'a>,
+}
+
+/// A row's softmax over classes, on the way to the tangent of the expected angle.
+pub(super) struct Softmax<'a, 's> {
+    angles: &'a [f32],
     largest: &'s mut [f32],
     sum: &'s mut [f32],
 }
@@ -180,105 +246,148 @@ pub(super) const fn slope_scratch_len(
     } else {
         output_width
     };
-    upsample::scratch_len(classes, input_width, output_width) + (classes + 2) * wider
+    let rows = classes.saturating_add(2).saturating_mul(wider);
+    upsample::scratch_len(classes, input_width, output_width).saturating_add(rows)
 }
 
-impl<'a, 's, const N: usize> SlopeTangent<'a, 's, N> {
-    pub(super) fn new(
+impl<'a, 's> SlopeTangent<'a, 's> {
+    pub(super) fn new<const N: usize>(
         head: &SlopeHead<'a, N>,
         upsampling: Upsampling,
         output: ImageSize,
         scratch: &mut Scratch<'s>,
     ) -> Result<Self, Error> {
-        let (map, classes) = (head.map, head.classes.radians().len());
-        if map.channels() != classes {
+        let (map, angles) = (head.map, head.classes.radians());
+        if map.channels() != angles.len() {
             return Err(Error::SlopeLogitCount {
-                classes,
+                classes: angles.len(),
                 given: map.channels(),
             });
         }
-        let (width, held, upsampled) = match head.decode_at {
-            DecodeAt::HeadSize => (map.size().width() as usize, 1, 1),
-            DecodeAt::OutputSize => (output.width() as usize, classes, classes),
-        };
-        Ok(Self {
-            map,
-            classes: head.classes,
-            decode_at: head.decode_at,
-            upsampler: Upsampler::new(upsampling, upsampled, map.size(), output, scratch)?,
-            logits: scratch.take(held * width)?,
-            largest: scratch.take(width)?,
-            sum: scratch.take(width)?,
+        let input = map.size();
+        Ok(match head.decode_at {
+            DecodeAt::HeadSize => {
+                let width = input.width() as usize;
+                Self::HeadSize {
+                    source: TangentRows {
+                        map,
+                        logits: scratch.take(width)?,
+                        softmax: Softmax {
+                            angles,
+                            largest: scratch.take(width)?,
+                            sum: scratch.take(width)?,
+                        },
+                    },
+                    upsampler: Upsampler::new(upsampling, 1, input, output, scratch)?,
+                }
+            }
+            DecodeAt::OutputSize => {
+                let width = output.width() as usize;
+                Self::OutputSize {
+                    source: LogitRows { map },
+                    upsampler: Upsampler::new(upsampling, angles.len(), input, output, scratch)?,
+                    logits: scratch.take(angles.len() * width)?,
+                    softmax: Softmax {
+                        angles,
+                        largest: scratch.take(width)?,
+                        sum: scratch.take(width)?,
+                    },
+                }
+            }
         })
     }
 
     /// Writes the tangents of output row `v`.
     #[inline(always)]
     pub(super) fn row(&mut self, v: u32, out: &mut [f32]) -> Result<(), Error> {
-        let map = &self.map;
-        let angles = self.classes.radians();
-        match self.decode_at {
-            DecodeAt::HeadSize => {
-                let (logits, largest, sum) =
-                    (&mut *self.logits, &mut *self.largest, &mut *self.sum);
-                self.upsampler.row(v, out, |y, row| {
-                    largest.fill(f32::MIN);
-                    for class in 0..angles.len() {
-                        read_logits(map, class, y, logits)?;
-                        raise(largest, logits);
-                    }
-                    row.fill(0.0);
-                    sum.fill(0.0);
-                    for (class, angle) in angles.iter().enumerate() {
-                        read_logits(map, class, y, logits)?;
-                        accumulate(row, sum, logits, largest, *angle);
-                    }
-                    tangents(row, sum);
-                    Ok(())
-                })
-            }
-            DecodeAt::OutputSize => {
-                let input_width = map.size().width() as usize;
-                self.upsampler.row(v, self.logits, |y, rows| {
-                    for (class, row) in rows.chunks_exact_mut(input_width).enumerate() {
-                        read_logits(map, class, y, row)?;
-                    }
-                    Ok(())
-                })?;
-                let rows = self.logits.chunks_exact(out.len().max(1));
-                self.largest.fill(f32::MIN);
+        match self {
+            Self::HeadSize { source, upsampler } => upsampler.row(v, out, source),
+            Self::OutputSize {
+                source,
+                upsampler,
+                logits,
+                softmax,
+            } => {
+                upsampler.row(v, logits, source)?;
+                let rows = logits.chunks_exact(out.len().max(1));
+                softmax.begin();
                 for row in rows.clone() {
-                    raise(self.largest, row);
+                    softmax.raise(row);
                 }
                 out.fill(0.0);
-                self.sum.fill(0.0);
-                for (row, angle) in rows.zip(angles) {
-                    accumulate(out, self.sum, row, self.largest, *angle);
+                for (class, row) in rows.enumerate() {
+                    softmax.accumulate(class, row, out);
                 }
-                tangents(out, self.sum);
+                softmax.finish(out);
                 Ok(())
             }
         }
     }
 }
 
-#[inline(always)]
-fn read_logits(map: &HeadMap<'_>, class: usize, y: u32, row: &mut [f32]) -> Result<(), Error> {
-    if map.read_row(class, y, row) {
+impl SourceRows for TangentRows<'_, '_> {
+    #[inline(always)]
+    fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error> {
+        self.softmax.begin();
+        for class in 0..self.map.channels() {
+            let logits = self.map.row(class, y, self.logits);
+            check_finite(logits, Head::Slope)?;
+            self.softmax.raise(logits);
+        }
+        row.fill(0.0);
+        for class in 0..self.map.channels() {
+            let logits = self.map.row(class, y, self.logits);
+            self.softmax.accumulate(class, logits, row);
+        }
+        self.softmax.finish(row);
         Ok(())
-    } else {
-        Err(Error::HeadNotFinite(Head::Slope))
     }
 }
 
-#[inline(always)]
-fn raise(largest: &mut [f32], logits: &[f32]) {
-    for (largest, logit) in largest.iter_mut().zip(logits) {
-        *largest = largest.max(*logit);
+impl SourceRows for LogitRows<'_> {
+    #[inline(always)]
+    fn write_row(&mut self, y: u32, rows: &mut [f32]) -> Result<(), Error> {
+        let width = self.map.size().width() as usize;
+        for (class, row) in rows.chunks_exact_mut(width).enumerate() {
+            self.map.write_row(class, y, row);
+            check_finite(row, Head::Slope)?;
+        }
+        Ok(())
     }
 }
 
-/// Adds one class to the softmax's two sums: of weights, and of weighted angles.
+impl Softmax<'_, '_> {
+    /// Starts a row: first [`Self::raise`] with all classes, then [`Self::accumulate`] with all, then [`Self::finish`].
+    #[inline(always)]
+    fn begin(&mut self) {
+        self.largest.fill(f32::MIN);
+        self.sum.fill(0.0);
+    }
+
+    #[inline(always)]
+    fn raise(&mut self, logits: &[f32]) {
+        for (largest, logit) in self.largest.iter_mut().zip(logits) {
+            *largest = largest.max(*logit);
+        }
+    }
+
+    /// Adds one class to the sums of weights and of weighted angles.
+    #[inline(always)]
+    fn accumulate(&mut self, class: usize, logits: &[f32], weighted: &mut [f32]) {
+        let angle = self.angles.get(class).copied().unwrap_or(0.0);
+        accumulate(weighted, self.sum, logits, self.largest, angle);
+    }
+
+    /// From weighted angles to the tangent of their mean.
+    #[inline(always)]
+    fn finish(&self, weighted: &mut [f32]) {
+        for (value, sum) in weighted.iter_mut().zip(self.sum.iter()) {
+            *value = tan(*value / sum);
+        }
+    }
+}
+
+/// A function of its own: as arguments, slices are known not to overlap, without which this does not vectorize.
 #[inline(always)]
 fn accumulate(weighted: &mut [f32], sum: &mut [f32], logits: &[f32], largest: &[f32], angle: f32) {
     for (((weighted, sum), logit), largest) in weighted.iter_mut().zip(sum).zip(logits).zip(largest)
@@ -289,10 +398,59 @@ fn accumulate(weighted: &mut [f32], sum: &mut [f32], logits: &[f32], largest: &[
     }
 }
 
-/// From weighted angles to the tangent of their mean.
-#[inline(always)]
-fn tangents(weighted: &mut [f32], sum: &[f32]) {
-    for (value, sum) in weighted.iter_mut().zip(sum) {
-        *value = tan(*value / sum);
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::{clamp, exp, tan};
+
+    /// Every 97th float from -87 to 88 against f64.
+    #[test]
+    fn exp_is_within_2e_7() {
+        let mut x = -87.0_f32;
+        while x < 88.0 {
+            let truth = f64::from(x).exp();
+            let error = (f64::from(exp(x)) / truth - 1.0).abs();
+            assert!(error < 2e-7, "exp({x}) is off by {error}");
+            let step = if x < 0.0 {
+                x.to_bits() - 97
+            } else {
+                x.to_bits() + 97
+            };
+            x = if x < 0.0 && x > -1e-30 {
+                1e-30
+            } else {
+                f32::from_bits(step)
+            };
+        }
+    }
+
+    #[test]
+    fn exp_at_its_ends() {
+        assert_eq!(exp(0.0), 1.0);
+        assert_eq!(exp(-1e30), exp(-87.0));
+        assert_eq!(exp(f32::NEG_INFINITY), exp(-87.0));
+        assert_eq!(exp(f32::INFINITY), exp(88.0));
+        assert_eq!(exp(f32::NAN), exp(-87.0));
+        assert!(exp(88.0).is_finite() && exp(-87.0) > 0.0);
+    }
+
+    /// All angles that the mean of slope classes may have, and a little more.
+    #[test]
+    fn tan_is_within_2e_7() {
+        for i in -53_000..=53_000 {
+            let x = i as f32 * 1e-5;
+            let truth = f64::from(x).tan();
+            let error = (f64::from(tan(x)) - truth).abs();
+            assert!(error <= 2e-7 * truth.abs(), "tan({x}) is off by {error}");
+        }
+    }
+
+    #[test]
+    fn clamp_catches_nan() {
+        assert_eq!(clamp(f32::NAN, 1.0, 2.0), 1.0);
+        assert_eq!(clamp(0.5, 1.0, 2.0), 1.0);
+        assert_eq!(clamp(1.5, 1.0, 2.0), 1.5);
+        assert_eq!(clamp(2.5, 1.0, 2.0), 2.0);
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::Error;
 use crate::camera::ImageSize;
+use crate::error::Head;
 use crate::slope::SlopeClasses;
 
 /// The values of a head, planar: all of channel 0, row-major, then all of channel 1, and so on.
@@ -83,54 +84,68 @@ impl<'a> HeadMap<'a> {
         Ok(())
     }
 
-    /// Writes row `y` of a channel as numbers, `row` having the map's width; false if any is NaN or infinite.
+    /// Row `y` of a channel as numbers: in place, or in `scratch`, which has the map's width.
     #[inline(always)]
-    pub(super) fn read_row(&self, channel: usize, y: u32, row: &mut [f32]) -> bool {
+    pub(super) fn row<'r>(&'r self, channel: usize, y: u32, scratch: &'r mut [f32]) -> &'r [f32] {
         let width = self.size.width() as usize;
         let start = channel * self.size.pixels() + y as usize * width;
         let range = start..start + width;
         match self.samples {
-            Samples::F32(values) => {
-                let Some(values) = values.get(range) else {
-                    return false;
-                };
-                // Exponents of all ones are NaN and infinity; integer ORs vectorize where float tests would not.
-                const EXPONENT: u32 = 0x7f80_0000;
-                let mut bad = 0;
-                for (out, value) in row.iter_mut().zip(values) {
-                    *out = *value;
-                    bad |= u32::from(value.to_bits() & EXPONENT == EXPONENT);
-                }
-                bad == 0
-            }
+            Samples::F32(values) => return values.get(range).unwrap_or_default(),
             Samples::U8 {
                 values,
                 scale,
                 zero_point,
             } => {
-                let Some(values) = values.get(range) else {
-                    return false;
-                };
-                for (out, value) in row.iter_mut().zip(values) {
+                for (out, value) in scratch
+                    .iter_mut()
+                    .zip(values.get(range).unwrap_or_default())
+                {
                     *out = (i32::from(*value) - i32::from(zero_point)) as f32 * scale;
                 }
-                // A step near the largest number may overflow.
-                scale < f32::MAX / 256.0
             }
             Samples::I8 {
                 values,
                 scale,
                 zero_point,
             } => {
-                let Some(values) = values.get(range) else {
-                    return false;
-                };
-                for (out, value) in row.iter_mut().zip(values) {
+                for (out, value) in scratch
+                    .iter_mut()
+                    .zip(values.get(range).unwrap_or_default())
+                {
                     *out = (i32::from(*value) - i32::from(zero_point)) as f32 * scale;
                 }
-                scale < f32::MAX / 256.0
             }
         }
+        scratch
+    }
+
+    /// Writes row `y` of a channel as numbers; `row` has the map's width.
+    #[inline(always)]
+    pub(super) fn write_row(&self, channel: usize, y: u32, row: &mut [f32]) {
+        if let Samples::F32(_) = self.samples {
+            for (out, value) in row.iter_mut().zip(self.row(channel, y, &mut [])) {
+                *out = *value;
+            }
+        } else {
+            self.row(channel, y, row);
+        }
+    }
+}
+
+/// Errs if a value of this head is NaN or infinite.
+#[inline(always)]
+pub(super) fn check_finite(row: &[f32], head: Head) -> Result<(), Error> {
+    // Exponents of all ones are NaN and infinity; integer ORs vectorize where float tests would not.
+    const EXPONENT: u32 = 0x7f80_0000;
+    let mut bad = 0;
+    for value in row {
+        bad |= u32::from(value.to_bits() & EXPONENT == EXPONENT);
+    }
+    if bad == 0 {
+        Ok(())
+    } else {
+        Err(Error::HeadNotFinite(head))
     }
 }
 

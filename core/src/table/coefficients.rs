@@ -57,12 +57,18 @@ impl GroundCoefficients {
         for (k, step) in ramp.iter_mut().enumerate() {
             *step = (self.per_column * k as f64) as f32;
         }
-        let start = self.origin + self.per_row * f64::from(v);
-        for (block, values) in row.chunks_mut(BLOCK).enumerate() {
-            let base = (start + self.per_column * (block * BLOCK) as f64) as f32;
-            for (value, step) in values.iter_mut().zip(&ramp) {
+        let mut start = self.origin + self.per_row * f64::from(v);
+        let (blocks, rest) = row.as_chunks_mut::<BLOCK>();
+        for block in blocks {
+            let base = start as f32;
+            for (value, step) in block.iter_mut().zip(&ramp) {
                 *value = base + step;
             }
+            start += self.per_column * BLOCK as f64;
+        }
+        let base = start as f32;
+        for (value, step) in rest.iter_mut().zip(&ramp) {
+            *value = base + step;
         }
     }
 }

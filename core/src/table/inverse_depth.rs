@@ -1,9 +1,10 @@
 //! The primary table: inverse depth as `f32`, one value a pixel, for every camera.
 
 use super::{
-    GroundCoefficients, GroundRows, ImageSize, NO_GROUND, depth_from_inverse, table_memory,
+    GroundCoefficients, GroundRows, ImageSize, NO_GROUND, RayView, depth_from_inverse, fill,
+    table_memory,
 };
-use crate::camera::{CameraModel, Pixel};
+use crate::camera::CameraModel;
 use crate::{Error, Ground};
 
 /// A table in memory that it borrows: inverse depths in 1/m, row-major.
@@ -31,7 +32,36 @@ impl<'a> GroundView<'a> {
     ) -> Result<Self, Error> {
         let size = camera.size();
         let values = table_memory(values, size)?;
-        fill(values, camera, ground);
+        if let Some(intrinsics) = camera.as_pinhole() {
+            let coefficients = GroundCoefficients::new(intrinsics, ground);
+            let rows = values.chunks_exact_mut(size.width() as usize);
+            for (v, row) in (0..).zip(rows) {
+                coefficients.fill_row(v, row);
+            }
+        } else {
+            fill(values, camera, ground, |inverse| inverse as f32);
+        }
+        Ok(Self {
+            values,
+            size,
+            height: ground.height() as f32,
+        })
+    }
+
+    /// Makes the table of the camera whose rays were kept, for a new pitch, roll or height: no ray is computed.
+    /// Inlines into callers with target features.
+    ///
+    /// # Errors
+    /// [`Error::TableLength`] if `values` is shorter than [`Self::len`].
+    #[inline(always)]
+    pub fn rebuild(
+        values: &'a mut [f32],
+        rays: &RayView<'_>,
+        ground: &Ground,
+    ) -> Result<Self, Error> {
+        let size = rays.size();
+        let values = table_memory(values, size)?;
+        rays.fill(values, ground);
         Ok(Self {
             values,
             size,
@@ -142,6 +172,21 @@ impl<const N: usize> GroundLut<N> {
         Ok(view)
     }
 
+    /// Makes the table anew, in place, from kept rays: [`GroundView::rebuild`].
+    ///
+    /// # Errors
+    /// [`Error::TableLength`] if there are more than `N` rays; the table before is then kept.
+    #[inline(always)]
+    pub fn rebuild(
+        &mut self,
+        rays: &RayView<'_>,
+        ground: &Ground,
+    ) -> Result<GroundView<'_>, Error> {
+        let view = GroundView::rebuild(&mut self.values, rays, ground)?;
+        self.built = Some((view.size, view.height));
+        Ok(view)
+    }
+
     /// The table.
     ///
     /// # Errors
@@ -163,25 +208,5 @@ impl<const N: usize> GroundLut<N> {
 impl<const N: usize> Default for GroundLut<N> {
     fn default() -> Self {
         Self::new()
-    }
-}
-
-/// `values` has exactly the camera's pixels.
-fn fill<C: CameraModel + ?Sized>(values: &mut [f32], camera: &C, ground: &Ground) {
-    let rows = values.chunks_exact_mut(camera.size().width() as usize);
-    if let Some(intrinsics) = camera.as_pinhole() {
-        let coefficients = GroundCoefficients::new(intrinsics, ground);
-        for (v, row) in (0..).zip(rows) {
-            coefficients.fill_row(v, row);
-        }
-        return;
-    }
-    for (v, row) in (0_u32..).zip(rows) {
-        for (u, value) in (0_u32..).zip(row) {
-            *value = camera
-                .unproject(Pixel::new(f64::from(u), f64::from(v)))
-                .and_then(|ray| ground.inverse_depth(ray))
-                .map_or(NO_GROUND, |inverse| inverse as f32);
-        }
     }
 }

@@ -1,7 +1,9 @@
 //! The camera of a calibration file: one of core's camera models, known when the file is read.
 
-use gedepth_core::camera::{CameraModel, ImageSize, Intrinsics, Pinhole, Pixel};
-use gedepth_core::{CameraFrame, Direction, Error, Point};
+use gedepth_core::camera::{
+    BrownConrady, CameraModel, ImageSize, Intrinsics, KannalaBrandt, Pinhole, Pixel,
+};
+use gedepth_core::{Angle, CameraFrame, Direction, Error, Point};
 
 /// How the lens bends rays; coefficients in the order of ROS and OpenCV.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,23 +14,31 @@ pub(super) enum Distortion {
     Equidistant([f64; 4]),
 }
 
-/// Intrinsics with the lens of the file.
+/// A camera of any of core's models.
 #[derive(Clone, Copy, Debug)]
-pub struct Camera {
-    distortion: Distortion,
-    model: Pinhole,
+pub enum Camera {
+    /// Without distortion.
+    Pinhole(Pinhole),
+    /// ROS `plumb_bob` and `rational_polynomial`.
+    BrownConrady(BrownConrady),
+    /// ROS `equidistant`.
+    KannalaBrandt(KannalaBrandt),
 }
 
 impl Camera {
     pub(super) fn new(intrinsics: Intrinsics, distortion: Distortion) -> Result<Self, Error> {
-        let _ = distortion;
-        Ok(Self {
-            distortion,
-            model: Pinhole::new(intrinsics),
+        Ok(match distortion {
+            Distortion::None => Self::Pinhole(Pinhole::new(intrinsics)),
+            Distortion::PlumbBob(k) => Self::BrownConrady(BrownConrady::new(intrinsics, k)?),
+            Distortion::RationalPolynomial(k) => {
+                Self::BrownConrady(BrownConrady::rational(intrinsics, k)?)
+            }
+            Distortion::Equidistant(k) => Self::KannalaBrandt(KannalaBrandt::new(intrinsics, k)?),
         })
     }
 
-    /// The camera of a picture that was cropped and then resized: only the intrinsics change, not the lens.
+    /// The camera of the picture's part that begins at column `left` and row `top`, resized to `size`. Only the
+    /// intrinsics change; the lens stays what it is.
     pub fn crop_and_resize(
         &self,
         left: u32,
@@ -36,30 +46,45 @@ impl Camera {
         region: ImageSize,
         size: ImageSize,
     ) -> Result<Self, Error> {
-        Self::new(
-            self.model
-                .intrinsics()
-                .crop(left, top, region)?
-                .resize(size)?,
-            self.distortion,
-        )
+        let changed = |intrinsics: &Intrinsics| intrinsics.crop(left, top, region)?.resize(size);
+        Ok(match self {
+            Self::Pinhole(camera) => Self::Pinhole(Pinhole::new(changed(camera.intrinsics())?)),
+            Self::BrownConrady(camera) => {
+                Self::BrownConrady(camera.with_intrinsics(changed(camera.intrinsics())?))
+            }
+            Self::KannalaBrandt(camera) => {
+                Self::KannalaBrandt(camera.with_intrinsics(changed(camera.intrinsics())?))
+            }
+        })
+    }
+
+    fn model(&self) -> &dyn CameraModel {
+        match self {
+            Self::Pinhole(camera) => camera,
+            Self::BrownConrady(camera) => camera,
+            Self::KannalaBrandt(camera) => camera,
+        }
     }
 }
 
 impl CameraModel for Camera {
     fn size(&self) -> ImageSize {
-        self.model.size()
+        self.model().size()
     }
 
     fn project(&self, point: Point<CameraFrame>) -> Option<Pixel> {
-        self.model.project(point)
+        self.model().project(point)
     }
 
     fn unproject(&self, pixel: Pixel) -> Option<Direction<CameraFrame>> {
-        self.model.unproject(pixel)
+        self.model().unproject(pixel)
+    }
+
+    fn field_of_view(&self) -> Angle {
+        self.model().field_of_view()
     }
 
     fn as_pinhole(&self) -> Option<&Intrinsics> {
-        self.model.as_pinhole()
+        self.model().as_pinhole()
     }
 }

@@ -168,7 +168,7 @@ fn write_together(dir: &Path, files: &[(&str, Vec<u8>)]) -> Result<(), Error> {
     let mut complete = Vec::new();
     for (name, bytes) in files {
         let beside = || {
-            let mut file = NamedTempFile::new_in(dir)?;
+            let mut file = beside_the_output(dir)?;
             file.write_all(bytes)?;
             file.as_file().sync_all()?;
             Ok(file)
@@ -179,4 +179,12 @@ fn write_together(dir: &Path, files: &[(&str, Vec<u8>)]) -> Result<(), Error> {
         file.persist(&path).map_err(|e| failed(path)(e.error))?;
     }
     Ok(())
+}
+
+/// A file with the permissions of any other new file: without them only its owner could read it.
+fn beside_the_output(dir: &Path) -> std::io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.prefix(".gedepth-").tempfile_in(dir)
 }

@@ -1,0 +1,61 @@
+//! Inverting an increasing function of one variable: how radial distortions are undone.
+
+/// Where an increasing `f` on `[0, end]` takes the value `target`, which must lie between `f(0) = 0` and `f(end)`;
+/// `f` gives value and slope, `start` is a first guess.
+#[inline]
+pub(super) fn invert(f: impl Fn(f64) -> [f64; 2], target: f64, start: f64, end: f64) -> f64 {
+    // Newton's steps, and halving where one would leave the bracket.
+    let (mut low, mut high) = (0.0, end);
+    let mut x = if (low..=high).contains(&start) {
+        start
+    } else {
+        0.5 * high
+    };
+    for _ in 0..60 {
+        let [value, slope] = f(x);
+        let miss = target - value;
+        if miss < 0.0 {
+            high = x;
+        } else {
+            low = x;
+        }
+        let next = x + miss / slope;
+        if !(low..=high).contains(&next) {
+            x = 0.5 * (low + high);
+            continue;
+        }
+        let step = next - x;
+        x = next;
+        // What is left is of the order of the square of the step, and more where the function is flat.
+        if step.abs() <= 1e-6 * slope.min(1.0) {
+            break;
+        }
+    }
+    x
+}
+
+#[cfg(test)]
+mod tests {
+    use super::invert;
+
+    /// Newton alone would leave the bracket from these starts, or never settle.
+    #[test]
+    fn steep_flat_and_badly_started() {
+        let cubic = |x: f64| [x * x * x, 3.0 * x * x];
+        // Steps around the flat middle at 0.5.
+        let saddle = |x: f64| {
+            let d = x - 0.5;
+            [d * d * d + 1e-3 * d + 0.1255, 3.0 * d * d + 1e-3]
+        };
+        for start in [0.0, 1e-9, 0.5, 1.0, -3.0, 7.0, f64::NAN] {
+            for target in [1e-6, 0.1255, 0.3, 1.0] {
+                let x = invert(cubic, target, start, 1.0);
+                assert!((x * x * x - target).abs() < 1e-12, "from {start}: {x}");
+            }
+            for target in [0.01, 0.1255, 0.2] {
+                let x = invert(saddle, target, start, 1.0);
+                assert!((saddle(x)[0] - target).abs() < 1e-12, "from {start}: {x}");
+            }
+        }
+    }
+}

@@ -1,0 +1,403 @@
+//! The `gedepth` command as a user calls it: what it writes, and what it says when it cannot.
+#![allow(clippy::panic, clippy::unwrap_used)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+
+const PICTURE_ERROR: i32 = 3;
+const CALIBRATION_ERROR: i32 = 4;
+const MODEL_ERROR: i32 = 5;
+const WRITE_ERROR: i32 = 6;
+
+fn scene() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/street")
+}
+
+fn model() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/adaptive-int8.onnx")
+}
+
+/// `gedepth run` with these files and arguments.
+fn run_at(picture: &Path, calibration: &Path, more: &[&str], out: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_gedepth"))
+        .arg("run")
+        .arg(picture)
+        .arg("--calibration")
+        .arg(calibration)
+        .arg("--out")
+        .arg(out)
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+/// The same with a small network, so that tests are fast.
+fn run(picture: &Path, calibration: &Path, more: &[&str], out: &Path) -> Output {
+    run_at(
+        picture,
+        calibration,
+        &[more, &["--network-size", "320x96"]].concat(),
+        out,
+    )
+}
+
+/// The call failed with this code and one line that has all of `words`, and wrote nothing.
+fn assert_refused(output: &Output, code: i32, words: &[&str], out: &Path) {
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{message}");
+    assert_eq!(message.trim_end().lines().count(), 1, "{message}");
+    for word in words {
+        assert!(message.contains(word), "`{word}` is not in: {message}");
+    }
+    let written = fs::read_dir(out).map_or(0, Iterator::count);
+    assert_eq!(written, 0, "something was written although: {message}");
+}
+
+struct Folder {
+    dir: TempDir,
+}
+
+impl Folder {
+    fn new() -> Self {
+        Self {
+            dir: TempDir::new().unwrap(),
+        }
+    }
+
+    fn out(&self) -> PathBuf {
+        self.dir.path().join("out")
+    }
+
+    fn file(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.dir.path().join(name);
+        fs::write(&path, bytes).unwrap();
+        path
+    }
+}
+
+#[test]
+fn writes_all_outputs_at_the_pictures_size() {
+    let folder = Folder::new();
+    let picture = scene().join("image.png");
+    let output = run(
+        &picture,
+        &scene().join("calibration.json"),
+        &[],
+        &folder.out(),
+    );
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let size = image::image_dimensions(&picture).unwrap();
+    let mut names: Vec<_> = fs::read_dir(folder.out())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(
+        names,
+        [
+            "attention.png",
+            "depth.png",
+            "depth_colours.png",
+            "ground.png"
+        ]
+    );
+    let depth = image::open(folder.out().join("depth.png")).unwrap();
+    assert_eq!((depth.width(), depth.height()), size);
+    assert_eq!(depth.color(), image::ColorType::L16);
+    let table = String::from_utf8(output.stdout).unwrap();
+    for word in [
+        "picture",
+        "network",
+        "depth",
+        "ground",
+        "decode",
+        "preprocess",
+        "fusion",
+    ] {
+        assert!(table.contains(word), "{table}");
+    }
+}
+
+#[test]
+fn a_second_run_replaces_the_first() {
+    let folder = Folder::new();
+    let picture = scene().join("image.png");
+    for _ in 0..2 {
+        let output = run(
+            &picture,
+            &scene().join("calibration.json"),
+            &[],
+            &folder.out(),
+        );
+        assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+    }
+    assert_eq!(fs::read_dir(folder.out()).unwrap().count(), 4);
+}
+
+#[test]
+fn pictures_that_are_none_are_refused() {
+    let folder = Folder::new();
+    let calibration = scene().join("calibration.json");
+    let whole = fs::read(scene().join("image.png")).unwrap();
+    // A PNG header that promises more pixels than any memory has.
+    let mut huge = whole.clone();
+    huge[16..24].copy_from_slice(&[0x00, 0xff, 0xff, 0xff, 0x00, 0xff, 0xff, 0xff]);
+    for picture in [
+        folder.file("empty.png", b""),
+        folder.file("text.png", b"not a picture"),
+        folder.file("half.png", &whole[..whole.len() / 2]),
+        folder.file("huge.png", huge),
+        folder.dir.path().join("absent.png"),
+        folder.dir.path().to_owned(),
+    ] {
+        let output = run(&picture, &calibration, &[], &folder.out());
+        assert_refused(
+            &output,
+            PICTURE_ERROR,
+            &[&picture.display().to_string()],
+            &folder.out(),
+        );
+    }
+}
+
+#[test]
+fn a_picture_of_another_size_is_refused() {
+    let folder = Folder::new();
+    let picture = folder.dir.path().join("small.png");
+    image::RgbImage::new(64, 48).save(&picture).unwrap();
+    let output = run(
+        &picture,
+        &scene().join("calibration.json"),
+        &[],
+        &folder.out(),
+    );
+    assert_refused(
+        &output,
+        PICTURE_ERROR,
+        &["(64, 48)", "unscaled"],
+        &folder.out(),
+    );
+}
+
+/// Every number of the calibration, each replaced by what cannot be right.
+#[test]
+fn calibrations_that_are_none_are_refused() {
+    let folder = Folder::new();
+    let whole: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(scene().join("calibration.json")).unwrap())
+            .unwrap();
+    let changed = |pointer: &str, value: serde_json::Value| {
+        let mut json = whole.clone();
+        *json.pointer_mut(pointer).unwrap() = value;
+        json.to_string()
+    };
+    let text = whole.to_string();
+    for (bad, words) in [
+        (String::new(), vec!["not a calibration"]),
+        ("{".to_owned(), vec!["not a calibration"]),
+        ("P2: 1 2 3".to_owned(), vec!["not a calibration"]),
+        (text.replacen("\"K\"", "\"k\"", 1), vec!["`k`"]),
+        (changed("/K/0", f64::NAN.into()), vec!["not a calibration"]),
+        (
+            text.replacen("\"K\":[", "\"K\":[1e999,", 1),
+            vec!["not a calibration"],
+        ),
+        (changed("/K/0", 0.0.into()), vec!["focal length", "0"]),
+        (changed("/K/4", (-1e9).into()), vec!["focal length"]),
+        (changed("/K/2", 1e12.into()), vec!["principal point"]),
+        (
+            changed("/K/3", 1.0.into()),
+            vec!["intrinsic matrix", "[1][0]"],
+        ),
+        (
+            changed("/K/8", 0.0.into()),
+            vec!["intrinsic matrix", "[2][2]"],
+        ),
+        (changed("/R/0", 2.0.into()), vec!["rotation"]),
+        (
+            changed("/R", [0, 0, 0, 0, 0, 0, 0, 0, 0].to_vec().into()),
+            vec!["rotation"],
+        ),
+        (
+            changed("/R", [1, 0, 0, 0, 1, 0, 0, 0, -1].to_vec().into()),
+            vec!["mirrors"],
+        ),
+        (changed("/T/1", 1e300.into()), vec!["translation"]),
+        (
+            changed("/ground/normal", [0, 0, 0].to_vec().into()),
+            vec!["direction"],
+        ),
+        (
+            changed("/ground/offset_nominal", 50.0.into()),
+            vec!["height over the ground"],
+        ),
+        (changed("/width", 0.into()), vec!["size"]),
+        (changed("/width", (-5).into()), vec!["not a calibration"]),
+        (
+            changed(
+                "/distortion",
+                serde_json::json!({"model": "fov", "coefficients": [1.0]}),
+            ),
+            vec!["not a calibration", "fov"],
+        ),
+        (
+            changed(
+                "/distortion",
+                serde_json::json!({"model": "plumb_bob", "coefficients": [1.0]}),
+            ),
+            vec!["not a calibration"],
+        ),
+        (
+            changed(
+                "/distortion",
+                serde_json::json!({"model": "plumb_bob", "coefficients": [1e9, 0, 0, 0, 0]}),
+            ),
+            vec!["distortion"],
+        ),
+    ] {
+        let calibration = folder.file("calibration.json", &bad);
+        let output = run(&scene().join("image.png"), &calibration, &[], &folder.out());
+        let mut words = words;
+        words.push("calibration.json");
+        assert_refused(&output, CALIBRATION_ERROR, &words, &folder.out());
+    }
+}
+
+#[test]
+fn models_that_are_none_are_refused() {
+    let folder = Folder::new();
+    let whole = fs::read(model()).unwrap();
+    let renamed = |from: &str, to: &str| -> Vec<u8> {
+        assert_eq!(from.len(), to.len(), "protobuf counts bytes");
+        let mut bytes = whole.clone();
+        let mut found = 0;
+        for at in 0..bytes.len() - from.len() {
+            if bytes[at..].starts_with(from.as_bytes()) {
+                bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+                found += 1;
+            }
+        }
+        assert!(found > 0, "`{from}` is not in the model");
+        bytes
+    };
+    for (bytes, words) in [
+        (Vec::new(), vec!["not an ONNX file"]),
+        (b"not a model".to_vec(), vec!["not an ONNX file"]),
+        (whole[..whole.len() / 2].to_vec(), vec!["not an ONNX file"]),
+        (
+            renamed("gedepth.contract", "gedepth_contract"),
+            vec!["no gedepth contract"],
+        ),
+        (
+            renamed("gedepth.mode", "gedepth.mood"),
+            vec!["gedepth.mode"],
+        ),
+        (
+            renamed("adaptive", "adoptive"),
+            vec!["gedepth.mode", "adoptive"],
+        ),
+        (
+            renamed("gedepth.attention_form", "gedepth.attention_farm"),
+            vec!["gedepth.attention_form"],
+        ),
+        (
+            renamed("downhill_positive", "downhill_negative"),
+            vec!["gedepth.slope_sign"],
+        ),
+        (
+            renamed("red,green,blue", "red,green,grey"),
+            vec!["gedepth.channels"],
+        ),
+    ] {
+        let model = folder.file("model.onnx", bytes);
+        let output = run(
+            &scene().join("image.png"),
+            &scene().join("calibration.json"),
+            &["--model", model.to_str().unwrap()],
+            &folder.out(),
+        );
+        let mut words = words;
+        words.push("model.onnx");
+        assert_refused(&output, MODEL_ERROR, &words, &folder.out());
+    }
+}
+
+/// A broken file may break tract in any way; the command still ends with a line and a code.
+#[test]
+fn models_with_a_flipped_byte_never_panic_the_command() {
+    let folder = Folder::new();
+    let whole = fs::read(model()).unwrap();
+    for at in (0..whole.len()).step_by(whole.len() / 24) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 0x15;
+        let model = folder.file("model.onnx", bytes);
+        let output = run(
+            &scene().join("image.png"),
+            &scene().join("calibration.json"),
+            &["--model", model.to_str().unwrap()],
+            &folder.out(),
+        );
+        // A flipped weight is still a model.
+        assert!(
+            matches!(output.status.code(), Some(0 | MODEL_ERROR)),
+            "byte {at}: {:?} {}",
+            output.status,
+            String::from_utf8_lossy(&output.stderr)
+        );
+    }
+}
+
+#[test]
+fn an_output_folder_that_cannot_be_written_is_refused() {
+    let folder = Folder::new();
+    let file = folder.file("out", b"a file where the folder should be");
+    let output = run(
+        &scene().join("image.png"),
+        &scene().join("calibration.json"),
+        &[],
+        &file,
+    );
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(WRITE_ERROR), "{message}");
+    assert_eq!(
+        fs::read(&file).unwrap(),
+        b"a file where the folder should be"
+    );
+
+    // The device that is always full: its folder cannot take files, even from root.
+    let full = Path::new("/proc/self/gedepth");
+    if Path::new("/proc/self").exists() {
+        let output = run(
+            &scene().join("image.png"),
+            &scene().join("calibration.json"),
+            &[],
+            full,
+        );
+        assert_eq!(output.status.code(), Some(WRITE_ERROR));
+    }
+}
+
+#[test]
+fn wrong_calls_are_refused() {
+    let folder = Folder::new();
+    let (picture, calibration) = (scene().join("image.png"), scene().join("calibration.json"));
+    for more in [
+        ["--network-size", "wide"],
+        ["--network-size", "100x100"],
+        ["--size", "1x1"],
+    ] {
+        let output = run_at(&picture, &calibration, &more, &folder.out());
+        assert_eq!(output.status.code(), Some(2), "{more:?}");
+    }
+}

@@ -1,0 +1,106 @@
+//! From picture to depth with the shipped models: against the shipped scenes' exact depth, int8 against f32, and on
+//! real pictures.
+
+use std::path::Path;
+
+use gedepth::{Calibration, Estimator, Model, OutputSize, Picture, picture};
+use gedepth_tests::{abs_rel, depth, folders, real_data, root, shipped_scenes};
+
+/// The farthest depth that counts, metres, as on KITTI.
+const CAP: f32 = 80.0;
+
+fn shipped_model(name: &str) -> Model {
+    Model::from_file(&root().join("fixtures/models").join(name)).expect("a shipped model")
+}
+
+fn estimate(model: &Model, frame: &Path) -> Vec<f32> {
+    let image = picture::read(&gedepth_tests::picture(frame)).expect("a picture");
+    let calibration = Calibration::read(&frame.join("calibration.json")).expect("a calibration");
+    let mut estimator = Estimator::new(
+        model,
+        &calibration,
+        image.dimensions(),
+        None,
+        OutputSize::Picture,
+    )
+    .expect("an estimator");
+    let estimate = estimator.run(Picture::from(&image)).expect("depth");
+    assert_eq!(estimate.size, image.dimensions());
+    estimate.depth.to_vec()
+}
+
+#[test]
+fn the_embedded_model_is_the_shipped_adaptive_int8() {
+    let embedded = Model::embedded().expect("the embedded model");
+    assert_eq!(
+        embedded.contract(),
+        shipped_model("adaptive-int8.onnx").contract()
+    );
+}
+
+#[test]
+fn depth_is_right_on_the_shipped_scenes_in_every_mode_and_precision() {
+    for mode in ["baseline", "vanilla", "adaptive"] {
+        let mut means = [0.0; 2];
+        for (mean, precision) in means.iter_mut().zip(["f32", "int8"]) {
+            let model = shipped_model(&format!("{mode}-{precision}.onnx"));
+            let scenes = shipped_scenes();
+            for scene in &scenes {
+                let (_, _, truth) = depth(&scene.join("depth.png"));
+                let estimate = estimate(&model, scene);
+                let (least, most) = (
+                    model.contract().depth_range.min(),
+                    model.contract().depth_range.max(),
+                );
+                assert!(estimate.iter().all(|&z| (least..=most).contains(&z)));
+                *mean += abs_rel(&estimate, &truth, CAP) / scenes.len() as f64;
+            }
+        }
+        println!("{mode}: Abs Rel f32 {:.4}, int8 {:.4}", means[0], means[1]);
+        assert!(means[0] < 0.35, "{mode}: {means:?}");
+        assert!((means[1] - means[0]).abs() < 0.02, "{mode}: {means:?}");
+    }
+}
+
+/// The road just ahead is nearer than the vehicles on it, and the sky is farthest.
+#[test]
+fn the_street_is_in_the_right_order_of_depth() {
+    let street = root().join("fixtures/scenes/street");
+    let (width, _, truth) = depth(&street.join("depth.png"));
+    let estimate = estimate(&Model::embedded().expect("the embedded model"), &street);
+    let median = |select: &dyn Fn(usize, f32) -> bool| {
+        let mut depths: Vec<f32> = (0..truth.len())
+            .filter(|&i| select(i / width as usize, truth[i]))
+            .map(|i| estimate[i])
+            .collect();
+        assert!(depths.len() > 500);
+        depths.sort_by(f32::total_cmp);
+        depths[depths.len() / 2]
+    };
+    let rows = truth.len() / width as usize;
+    let road = median(&|v, z| v > rows * 19 / 20 && z > 0.0);
+    let middle = median(&|_, z| z > 15.0 && z < 25.0);
+    let far = median(&|_, z| z > 45.0 && z < 80.0);
+    let sky = median(&|_, z| z == 0.0);
+    assert!(
+        road < middle && middle < far && far < sky,
+        "{road} {middle} {far} {sky}"
+    );
+}
+
+#[test]
+fn every_real_frame_runs() {
+    let Some(frames) = real_data("frames") else {
+        return;
+    };
+    let model = Model::embedded().expect("the embedded model");
+    for frame in folders(&frames) {
+        let (_, _, lidar) = depth(&frame.join("depth.png"));
+        let error = abs_rel(&estimate(&model, &frame), &lidar, CAP);
+        println!(
+            "{}: Abs Rel {error:.3}",
+            frame.file_name().expect("a name").display()
+        );
+        assert!(error.is_finite());
+    }
+}
