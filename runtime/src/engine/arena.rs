@@ -46,7 +46,11 @@ unsafe impl<T: Send + Sync> Sync for Shared<'_, T> {}
 impl<'a, T> Shared<'a, T> {
     /// Shares a slice.
     pub(crate) fn new(slice: &'a mut [T]) -> Self {
-        Self { start: slice.as_mut_ptr(), length: slice.len(), slice: PhantomData }
+        Self {
+            start: slice.as_mut_ptr(),
+            length: slice.len(),
+            slice: PhantomData,
+        }
     }
 
     /// A part to read. Panics where `range` is not in the slice.

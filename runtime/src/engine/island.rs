@@ -31,21 +31,34 @@ impl Island {
     pub(crate) fn from_body(body: &GraphProto) -> Self {
         Self {
             inputs: body.input.iter().map(|input| input.name.clone()).collect(),
-            outputs: body.output.iter().map(|output| output.name.clone()).collect(),
+            outputs: body
+                .output
+                .iter()
+                .map(|output| output.name.clone())
+                .collect(),
             layers: layers(body).into_iter().map(|found| found.layer).collect(),
         }
     }
 
     /// Shapes of the tensors that the layers write, by name, given those of the inputs.
     pub(crate) fn shapes(&self, inputs: &[Shape]) -> Result<HashMap<&str, Shape>, String> {
-        let mut shapes: HashMap<&str, Shape> =
-            self.inputs.iter().map(String::as_str).zip(inputs.iter().copied()).collect();
+        let mut shapes: HashMap<&str, Shape> = self
+            .inputs
+            .iter()
+            .map(String::as_str)
+            .zip(inputs.iter().copied())
+            .collect();
         for layer in &self.layers {
             let read = layer.inputs.iter().map(|input| {
-                shapes.get(input.name.as_str()).copied().ok_or_else(|| format!("`{}` is not made", input.name))
+                shapes
+                    .get(input.name.as_str())
+                    .copied()
+                    .ok_or_else(|| format!("`{}` is not made", input.name))
             });
             let read: Vec<Shape> = read.collect::<Result<_, _>>()?;
-            let shape = layer.shape(&read).map_err(|reason| format!("`{}`: {reason}", layer.output))?;
+            let shape = layer
+                .shape(&read)
+                .map_err(|reason| format!("`{}`: {reason}", layer.output))?;
             shapes.insert(&layer.output, shape);
         }
         Ok(shapes)
@@ -56,11 +69,21 @@ impl Island {
 pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
     let graph = model.graph.as_ref()?;
     // Graphs within graphs read names that no node's inputs show.
-    if graph.node.iter().flat_map(|node| &node.attribute).any(|a| a.g.is_some() || !a.graphs.is_empty()) {
+    if graph
+        .node
+        .iter()
+        .flat_map(|node| &node.attribute)
+        .any(|a| a.g.is_some() || !a.graphs.is_empty())
+    {
         return None;
     }
     let found = layers(graph);
-    if found.iter().all(|f| matches!(f.layer.operation, Operation::Quantize | Operation::Dequantize)) {
+    if found.iter().all(|f| {
+        matches!(
+            f.layer.operation,
+            Operation::Quantize | Operation::Dequantize
+        )
+    }) {
         return None;
     }
     let levels = levels(graph, &found);
@@ -69,7 +92,10 @@ pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
         .map(|level| island_node(graph, &found, &levels, level))
         .collect();
     // What else they stood for goes with the sweep, unless somebody else reads it too.
-    let replaced: HashSet<usize> = found.iter().filter_map(|f| f.nodes.last().copied()).collect();
+    let replaced: HashSet<usize> = found
+        .iter()
+        .filter_map(|f| f.nodes.last().copied())
+        .collect();
     let mut graph = graph.clone();
     let mut index = 0;
     graph.node.retain(|_| {
@@ -78,19 +104,29 @@ pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
     });
     graph.node.extend(islands);
     sweep(&mut graph);
-    Some(ModelProto { graph: Some(graph), ..model.clone() })
+    Some(ModelProto {
+        graph: Some(graph),
+        ..model.clone()
+    })
 }
 
 /// How many detours through tract lie before each layer.
 fn levels(graph: &GraphProto, found: &[Recognized]) -> Vec<usize> {
-    let by_node: HashMap<usize, usize> =
-        found.iter().enumerate().filter_map(|(index, f)| Some((*f.nodes.last()?, index))).collect();
+    let by_node: HashMap<usize, usize> = found
+        .iter()
+        .enumerate()
+        .filter_map(|(index, f)| Some((*f.nodes.last()?, index)))
+        .collect();
     // Of tensors: what a reader outside has behind it. Bytes have no readers outside.
     let mut level: HashMap<&str, usize> = HashMap::new();
     let mut levels = vec![0; found.len()];
     for (index, node) in graph.node.iter().enumerate() {
         let at = |names: &mut dyn Iterator<Item = &String>| {
-            names.filter_map(|name| level.get(name.as_str())).copied().max().unwrap_or(0)
+            names
+                .filter_map(|name| level.get(name.as_str()))
+                .copied()
+                .max()
+                .unwrap_or(0)
         };
         match by_node.get(&index) {
             Some(&layer) => {
@@ -110,12 +146,20 @@ fn levels(graph: &GraphProto, found: &[Recognized]) -> Vec<usize> {
 }
 
 /// The layers of one level as a node.
-fn island_node(graph: &GraphProto, found: &[Recognized], levels: &[usize], level: usize) -> NodeProto {
+fn island_node(
+    graph: &GraphProto,
+    found: &[Recognized],
+    levels: &[usize],
+    level: usize,
+) -> NodeProto {
     let mut nodes = HashSet::new();
     let (mut inputs, mut outputs): (Vec<String>, Vec<String>) = Default::default();
     let mut crossing = Vec::new();
-    let makers: HashMap<&str, usize> =
-        found.iter().enumerate().map(|(index, f)| (f.layer.output.as_str(), index)).collect();
+    let makers: HashMap<&str, usize> = found
+        .iter()
+        .enumerate()
+        .map(|(index, f)| (f.layer.output.as_str(), index))
+        .collect();
     for (member, _) in found.iter().zip(levels).filter(|(_, l)| **l == level) {
         nodes.extend(member.nodes.iter().copied());
         if let Operation::Quantize = member.layer.operation {
@@ -138,7 +182,11 @@ fn island_node(graph: &GraphProto, found: &[Recognized], levels: &[usize], level
         let leaves = |(reader, l): (&Recognized, &usize)| {
             *l > level
                 && !matches!(reader.layer.operation, Operation::Quantize)
-                && reader.layer.inputs.iter().any(|input| input.name == member.layer.output)
+                && reader
+                    .layer
+                    .inputs
+                    .iter()
+                    .any(|input| input.name == member.layer.output)
         };
         if found.iter().zip(levels).any(leaves) {
             let (dequantize, _) = crossers(graph, member);
@@ -150,21 +198,44 @@ fn island_node(graph: &GraphProto, found: &[Recognized], levels: &[usize], level
     inputs.dedup();
     crossing.sort_by(|a, b| a.output.cmp(&b.output));
     crossing.dedup();
-    let (quantize, dequantize): (Vec<_>, Vec<_>) = crossing.into_iter().partition(|n| n.op_type == "QuantizeLinear");
-    let own = graph.node.iter().enumerate().filter(|(index, _)| nodes.contains(index)).map(|(_, node)| node.clone());
+    let (quantize, dequantize): (Vec<_>, Vec<_>) = crossing
+        .into_iter()
+        .partition(|n| n.op_type == "QuantizeLinear");
+    let own = graph
+        .node
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| nodes.contains(index))
+        .map(|(_, node)| node.clone());
     let mut node: Vec<NodeProto> = quantize.into_iter().chain(own).chain(dequantize).collect();
     let constants: Vec<NodeProto> = graph
         .node
         .iter()
         .filter(|constant| constant.op_type == "Constant" && !node.contains(constant))
-        .filter(|constant| node.iter().flat_map(|node| &node.input).any(|name| constant.output.contains(name)))
+        .filter(|constant| {
+            node.iter()
+                .flat_map(|node| &node.input)
+                .any(|name| constant.output.contains(name))
+        })
         .cloned()
         .collect();
     node.splice(0..0, constants);
-    let named = |name: &String| ValueInfoProto { name: name.clone(), ..ValueInfoProto::default() };
-    let read: HashSet<&str> = node.iter().flat_map(|node| &node.input).map(String::as_str).collect();
+    let named = |name: &String| ValueInfoProto {
+        name: name.clone(),
+        ..ValueInfoProto::default()
+    };
+    let read: HashSet<&str> = node
+        .iter()
+        .flat_map(|node| &node.input)
+        .map(String::as_str)
+        .collect();
     let body = GraphProto {
-        initializer: graph.initializer.iter().filter(|t| read.contains(t.name.as_str())).cloned().collect(),
+        initializer: graph
+            .initializer
+            .iter()
+            .filter(|t| read.contains(t.name.as_str()))
+            .cloned()
+            .collect(),
         input: inputs.iter().map(named).collect(),
         output: outputs.iter().map(named).collect(),
         node,
@@ -175,22 +246,36 @@ fn island_node(graph: &GraphProto, found: &[Recognized], levels: &[usize], level
         op_type: ISLAND.to_owned(),
         input: inputs,
         output: outputs,
-        attribute: vec![AttributeProto { name: BODY.to_owned(), g: Some(body), ..AttributeProto::default() }],
+        attribute: vec![AttributeProto {
+            name: BODY.to_owned(),
+            g: Some(body),
+            ..AttributeProto::default()
+        }],
         ..NodeProto::default()
     }
 }
 
 /// The nodes that dequantize a byte tensor.
 fn dequantizers(graph: &GraphProto, name: &str) -> impl Iterator<Item = usize> {
-    let reads = move |node: &NodeProto| node.op_type == "DequantizeLinear" && node.input.first().is_some_and(|n| n == name);
-    graph.node.iter().enumerate().filter(move |(_, node)| reads(node)).map(|(index, _)| index)
+    let reads = move |node: &NodeProto| {
+        node.op_type == "DequantizeLinear" && node.input.first().is_some_and(|n| n == name)
+    };
+    graph
+        .node
+        .iter()
+        .enumerate()
+        .filter(move |(_, node)| reads(node))
+        .map(|(index, _)| index)
 }
 
 /// The nodes that take a layer's bytes out of its island, as f32, and into another.
 fn crossers(graph: &GraphProto, maker: &Recognized) -> (NodeProto, NodeProto) {
     let bytes = maker.layer.output.clone();
     let real = format!("{bytes} between islands");
-    let mut parameters = maker.nodes.last().map_or(Vec::new(), |&node| graph.node[node].input.clone());
+    let mut parameters = maker
+        .nodes
+        .last()
+        .map_or(Vec::new(), |&node| graph.node[node].input.clone());
     let mut node = |op_type: &str, from: &str, to: &str| {
         parameters[0] = from.to_owned();
         NodeProto {
@@ -200,7 +285,10 @@ fn crossers(graph: &GraphProto, maker: &Recognized) -> (NodeProto, NodeProto) {
             ..NodeProto::default()
         }
     };
-    (node("DequantizeLinear", &bytes, &real), node("QuantizeLinear", &real, &bytes))
+    (
+        node("DequantizeLinear", &bytes, &real),
+        node("QuantizeLinear", &real, &bytes),
+    )
 }
 
 /// Takes out nodes and weights that nothing reads any more.
@@ -214,9 +302,13 @@ fn sweep(graph: &mut GraphProto) {
             .cloned()
             .collect();
         let nodes = graph.node.len();
-        graph.node.retain(|node| node.output.iter().any(|name| read.contains(name)));
+        graph
+            .node
+            .retain(|node| node.output.iter().any(|name| read.contains(name)));
         if graph.node.len() == nodes {
-            graph.initializer.retain(|tensor| read.contains(&tensor.name));
+            graph
+                .initializer
+                .retain(|tensor| read.contains(&tensor.name));
             let made: HashSet<&String> = graph.node.iter().flat_map(|node| &node.output).collect();
             graph.value_info.retain(|value| made.contains(&value.name));
             return;

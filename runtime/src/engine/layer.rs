@@ -157,7 +157,11 @@ impl Window {
                     let outputs = input[axis].div_ceil(self.strides[axis]);
                     let needed = outputs.saturating_sub(1) * self.strides[axis] + reach;
                     let total = needed.saturating_sub(input[axis]);
-                    before[axis] = if *more_before { total.div_ceil(2) } else { total / 2 };
+                    before[axis] = if *more_before {
+                        total.div_ceil(2)
+                    } else {
+                        total / 2
+                    };
                     input[axis] + total
                 }
             };
@@ -221,7 +225,11 @@ impl Convolution {
     pub(crate) fn fits_32_bits(&self, input: Quantization, form: &Form) -> bool {
         let factors = self.factors(input, form);
         (0..self.outputs).all(|output| {
-            let sum: i64 = self.filter(output).iter().map(|&w| i64::from(w).abs()).sum();
+            let sum: i64 = self
+                .filter(output)
+                .iter()
+                .map(|&w| i64::from(w).abs())
+                .sum();
             // Twice, for the part that the start takes off beforehand.
             let most = 2 * 255 * sum + i64::from(self.bias[output]).abs();
             let step = match form {
@@ -283,7 +291,9 @@ impl Resize {
     fn output(&self, input: [usize; 2]) -> [usize; 2] {
         match self.target {
             Target::Sizes(sizes) => sizes,
-            Target::Scales(scales) => [0, 1].map(|axis| (input[axis] as f32 * scales[axis]) as usize),
+            Target::Scales(scales) => {
+                [0, 1].map(|axis| (input[axis] as f32 * scales[axis]) as usize)
+            }
         }
     }
 
@@ -309,7 +319,11 @@ impl Resize {
                 let position = position.clamp(0.0, last as f32);
                 let first = position as usize;
                 let second = (first + 1).min(last);
-                return Between { first, second, weight: position - first as f32 };
+                return Between {
+                    first,
+                    second,
+                    weight: position - first as f32,
+                };
             }
             let nearest = match self.nearest {
                 Nearest::Floor => position.floor(),
@@ -318,7 +332,11 @@ impl Resize {
                 Nearest::RoundPreferCeil => (position + 0.5).floor(),
             };
             let first = (nearest.max(0.0) as usize).min(last);
-            Between { first, second: first, weight: 0.0 }
+            Between {
+                first,
+                second: first,
+                weight: 0.0,
+            }
         };
         (0..outputs).map(place).collect()
     }
@@ -334,13 +352,19 @@ impl Layer {
             Operation::Quantize | Operation::Dequantize | Operation::Table(_) => inputs[0],
             Operation::Convolution(convolution) => {
                 if channels != convolution.inputs {
-                    return Err(format!("{channels} channels meet weights for {}", convolution.inputs));
+                    return Err(format!(
+                        "{channels} channels meet weights for {}",
+                        convolution.inputs
+                    ));
                 }
                 with(convolution.outputs, convolution.window.place(size)?.1)
             }
             Operation::Add | Operation::Multiply => {
                 if inputs[0] != inputs[1] {
-                    return Err(format!("shapes {:?} and {:?} do not match", inputs[0], inputs[1]));
+                    return Err(format!(
+                        "shapes {:?} and {:?} do not match",
+                        inputs[0], inputs[1]
+                    ));
                 }
                 inputs[0]
             }
@@ -351,7 +375,9 @@ impl Layer {
                 with(inputs.iter().map(|shape| shape[0]).sum(), size)
             }
             Operation::Resize(resize) => with(channels, resize.output(size)),
-            Operation::MaxPool(window) | Operation::AveragePool(window, _) => with(channels, window.place(size)?.1),
+            Operation::MaxPool(window) | Operation::AveragePool(window, _) => {
+                with(channels, window.place(size)?.1)
+            }
             Operation::GlobalAveragePool => with(channels, [1, 1]),
         };
         if shape.contains(&0) {

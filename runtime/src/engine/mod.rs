@@ -40,7 +40,10 @@ impl Default for Engine {
     /// The fastest kernels that the processor has, on at most two of its cores.
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Engine::Quantized { kernel: Kernel::best(), threads: cores.min(2) }
+        Engine::Quantized {
+            kernel: Kernel::best(),
+            threads: cores.min(2),
+        }
     }
 }
 
@@ -52,7 +55,11 @@ impl Engine {
         };
         let mut model = island::replace_islands(model)?;
         let graph = model.graph.as_mut()?;
-        for node in graph.node.iter_mut().filter(|node| node.op_type == island::ISLAND) {
+        for node in graph
+            .node
+            .iter_mut()
+            .filter(|node| node.op_type == island::ISLAND)
+        {
             operator::configure(node, kernel, threads.max(1));
         }
         Some(model)

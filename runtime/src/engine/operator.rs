@@ -20,7 +20,11 @@ const KERNEL: &str = "kernel";
 
 /// Writes into an island's node how to run it.
 pub(crate) fn configure(node: &mut NodeProto, kernel: Kernel, threads: usize) {
-    let number = |name: &str, i: i64| tract_onnx::pb::AttributeProto { name: name.to_owned(), i, ..Default::default() };
+    let number = |name: &str, i: i64| tract_onnx::pb::AttributeProto {
+        name: name.to_owned(),
+        i,
+        ..Default::default()
+    };
     let place = Kernel::ALL.iter().position(|k| *k == kernel).unwrap_or(0);
     node.attribute.push(number(THREADS, threads as i64));
     node.attribute.push(number(KERNEL, place as i64));
@@ -31,11 +35,23 @@ pub(crate) fn register(onnx: &mut tract_onnx::Onnx) {
     onnx.op_register.insert(ISLAND, build);
 }
 
-fn build(_: &ParsingContext<'_>, node: &NodeProto) -> TractResult<(Box<dyn InferenceOp>, Vec<String>)> {
-    let body = attribute(node, BODY).and_then(|a| a.g.as_ref()).context("an island without a body")?;
+fn build(
+    _: &ParsingContext<'_>,
+    node: &NodeProto,
+) -> TractResult<(Box<dyn InferenceOp>, Vec<String>)> {
+    let body = attribute(node, BODY)
+        .and_then(|a| a.g.as_ref())
+        .context("an island without a body")?;
     let number = |name: &str| attribute(node, name).map_or(0, |a| a.i as usize);
-    let kernel = Kernel::ALL.get(number(KERNEL)).copied().unwrap_or(Kernel::Portable);
-    let planned = Unplanned { island: Arc::new(Island::from_body(body)), kernel, threads: number(THREADS) };
+    let kernel = Kernel::ALL
+        .get(number(KERNEL))
+        .copied()
+        .unwrap_or(Kernel::Portable);
+    let planned = Unplanned {
+        island: Arc::new(Island::from_body(body)),
+        kernel,
+        threads: number(THREADS),
+    };
     Ok((expand(planned), vec![]))
 }
 
@@ -48,15 +64,26 @@ struct Unplanned {
 }
 
 fn picture(shape: &[TDim]) -> TractResult<Shape> {
-    match shape.iter().map(|d| Ok(d.to_usize()?)).collect::<TractResult<Vec<_>>>()?[..] {
+    match shape
+        .iter()
+        .map(|d| Ok(d.to_usize()?))
+        .collect::<TractResult<Vec<_>>>()?[..]
+    {
         [1, channels, height, width] => Ok([channels, height, width]),
         _ => bail!("a quantized island reads [1, channels, height, width], not {shape:?}"),
     }
 }
 
 fn outputs(island: &Island, inputs: &[Shape]) -> TractResult<Vec<Shape>> {
-    let shapes = island.shapes(inputs).map_err(|reason| format_err!(reason))?;
-    let shape = |name: &String| shapes.get(name.as_str()).copied().with_context(|| format!("`{name}` is not made"));
+    let shapes = island
+        .shapes(inputs)
+        .map_err(|reason| format_err!(reason))?;
+    let shape = |name: &String| {
+        shapes
+            .get(name.as_str())
+            .copied()
+            .with_context(|| format!("`{name}` is not made"))
+    };
     island.outputs.iter().map(shape).collect()
 }
 
@@ -81,24 +108,48 @@ impl Expansion for Unplanned {
             solver.equals(&tensor.datum_type, f32::datum_type())?;
             solver.equals(&tensor.rank, 4)?;
         }
-        solver.given_all(inputs.iter().map(|input| &input.shape), move |solver, shapes: Vec<TVec<TDim>>| {
-            let shapes: Vec<Shape> = shapes.iter().map(|shape| picture(shape)).collect::<TractResult<_>>()?;
-            for (output, [c, h, w]) in writes.iter().zip(outputs(&self.island, &shapes)?) {
-                solver.equals(&output.shape, ShapeFactoid::from(tvec!(1.to_dim(), c.to_dim(), h.to_dim(), w.to_dim())))?;
-            }
-            Ok(())
-        })
+        solver.given_all(
+            inputs.iter().map(|input| &input.shape),
+            move |solver, shapes: Vec<TVec<TDim>>| {
+                let shapes: Vec<Shape> = shapes
+                    .iter()
+                    .map(|shape| picture(shape))
+                    .collect::<TractResult<_>>()?;
+                for (output, [c, h, w]) in writes.iter().zip(outputs(&self.island, &shapes)?) {
+                    solver.equals(
+                        &output.shape,
+                        ShapeFactoid::from(tvec!(1.to_dim(), c.to_dim(), h.to_dim(), w.to_dim())),
+                    )?;
+                }
+                Ok(())
+            },
+        )
     }
 
-    fn wire(&self, prefix: &str, model: &mut TypedModel, inputs: &[OutletId]) -> TractResult<TVec<OutletId>> {
-        let shapes: Vec<Shape> =
-            inputs.iter().map(|&input| picture(&model.outlet_fact(input)?.shape)).collect::<TractResult<_>>()?;
+    fn wire(
+        &self,
+        prefix: &str,
+        model: &mut TypedModel,
+        inputs: &[OutletId],
+    ) -> TractResult<TVec<OutletId>> {
+        let shapes: Vec<Shape> = inputs
+            .iter()
+            .map(|&input| picture(&model.outlet_fact(input)?.shape))
+            .collect::<TractResult<_>>()?;
         let schedule = Schedule::new(&self.island, &shapes, self.kernel, self.threads)
             .map_err(|reason| format_err!(reason))?;
         let shapes: Vec<Shape> = schedule.output_shapes().to_vec();
-        let outputs = shapes.iter().map(|[c, h, w]| Tensor::zero::<f32>(&[1, *c, *h, *w]).map(Arc::new));
-        let running = Running { schedule, outputs: outputs.collect::<TractResult<_>>()? };
-        let operator = Operator { shapes, running: Arc::new(Mutex::new(running)) };
+        let outputs = shapes
+            .iter()
+            .map(|[c, h, w]| Tensor::zero::<f32>(&[1, *c, *h, *w]).map(Arc::new));
+        let running = Running {
+            schedule,
+            outputs: outputs.collect::<TractResult<_>>()?,
+        };
+        let operator = Operator {
+            shapes,
+            running: Arc::new(Mutex::new(running)),
+        };
         model.wire_node(prefix, operator, inputs)
     }
 }
@@ -118,7 +169,9 @@ struct Running {
 
 impl fmt::Debug for Operator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct(ISLAND).field("outputs", &self.shapes).finish_non_exhaustive()
+        f.debug_struct(ISLAND)
+            .field("outputs", &self.shapes)
+            .finish_non_exhaustive()
     }
 }
 
@@ -149,26 +202,41 @@ impl EvalOp for Operator {
                 *output = Arc::new(Tensor::zero::<f32>(output.shape())?);
             }
         }
-        let reads: TVec<&[f32]> =
-            inputs.iter().map(|input| input.try_as_plain_ram()?.as_slice::<f32>()).collect::<TractResult<_>>()?;
+        let reads: TVec<&[f32]> = inputs
+            .iter()
+            .map(|input| input.try_as_plain_ram()?.as_slice::<f32>())
+            .collect::<TractResult<_>>()?;
         let mut views = outputs
             .iter_mut()
-            .map(|output| Arc::get_mut(output).context("an output that somebody holds")?.try_as_plain_ram_mut())
+            .map(|output| {
+                Arc::get_mut(output)
+                    .context("an output that somebody holds")?
+                    .try_as_plain_ram_mut()
+            })
             .collect::<TractResult<TVec<_>>>()?;
         let writes: TVec<Shared<'_, f32>> = views
             .iter_mut()
             .map(|view| Ok(Shared::new(view.as_slice_mut::<f32>()?)))
             .collect::<TractResult<_>>()?;
-        schedule.run(&reads, &writes).map_err(|reason| format_err!(reason))?;
+        schedule
+            .run(&reads, &writes)
+            .map_err(|reason| format_err!(reason))?;
         drop(writes);
         drop(views);
-        Ok(outputs.iter().map(|output| output.clone().into_tvalue()).collect())
+        Ok(outputs
+            .iter()
+            .map(|output| output.clone().into_tvalue())
+            .collect())
     }
 }
 
 impl TypedOp for Operator {
     fn output_facts(&self, _: &[&TypedFact]) -> TractResult<TVec<TypedFact>> {
-        Ok(self.shapes.iter().map(|[c, h, w]| f32::fact([1, *c, *h, *w])).collect())
+        Ok(self
+            .shapes
+            .iter()
+            .map(|[c, h, w]| f32::fact([1, *c, *h, *w]))
+            .collect())
     }
 
     as_op!();

@@ -11,7 +11,8 @@ use tract_onnx::pb::{AttributeProto, GraphProto, NodeProto, TensorProto};
 use tract_onnx::prelude::*;
 
 use super::layer::{
-    Convolution, Coordinates, Form, Layer, Nearest, Operand, Operation, Padding, Quantization, Resize, Target, Window,
+    Convolution, Coordinates, Form, Layer, Nearest, Operand, Operation, Padding, Quantization,
+    Resize, Target, Window,
 };
 
 /// A layer and the nodes that it stands for.
@@ -38,10 +39,19 @@ pub(crate) fn layers(graph: &GraphProto) -> Vec<Recognized> {
         let made: HashSet<String> = found.iter().map(|f| f.layer.output.clone()).collect();
         found.retain(|f| {
             matches!(f.layer.operation, Operation::Quantize)
-                || f.layer.inputs.iter().all(|input| made.contains(&input.name))
+                || f.layer
+                    .inputs
+                    .iter()
+                    .all(|input| made.contains(&input.name))
         });
-        let read: HashSet<String> = found.iter().flat_map(|f| &f.layer.inputs).map(|i| i.name.clone()).collect();
-        found.retain(|f| !matches!(f.layer.operation, Operation::Quantize) || read.contains(&f.layer.output));
+        let read: HashSet<String> = found
+            .iter()
+            .flat_map(|f| &f.layer.inputs)
+            .map(|i| i.name.clone())
+            .collect();
+        found.retain(|f| {
+            !matches!(f.layer.operation, Operation::Quantize) || read.contains(&f.layer.output)
+        });
         if found.len() == before {
             break;
         }
@@ -59,13 +69,19 @@ pub(crate) fn layers(graph: &GraphProto) -> Vec<Recognized> {
         };
         let outside = |name: &String| {
             reader.outputs.contains(name.as_str())
-                || reader.readers(name).iter().any(|reader| !inside.contains(reader))
+                || reader
+                    .readers(name)
+                    .iter()
+                    .any(|reader| !inside.contains(reader))
         };
         if proto.output.iter().any(outside) {
             found.push(Recognized {
                 layer: Layer {
                     operation: Operation::Dequantize,
-                    inputs: vec![Operand { name: proto.input[0].clone(), quantization }],
+                    inputs: vec![Operand {
+                        name: proto.input[0].clone(),
+                        quantization,
+                    }],
                     output: proto.output[0].clone(),
                     form: Form::Floats,
                 },
@@ -99,7 +115,8 @@ fn sizes<const N: usize>(node: &NodeProto, name: &str, default: [usize; N]) -> O
     match attribute(node, name) {
         None => Some(default),
         Some(a) => {
-            let sizes: Option<Vec<usize>> = a.ints.iter().map(|&i| usize::try_from(i).ok()).collect();
+            let sizes: Option<Vec<usize>> =
+                a.ints.iter().map(|&i| usize::try_from(i).ok()).collect();
             sizes?.try_into().ok()
         }
     }
@@ -126,8 +143,11 @@ impl<'a> Reader<'a> {
     fn new(graph: &'a GraphProto) -> Self {
         let mut read_by: HashMap<&str, Vec<usize>> = HashMap::new();
         let mut made_by = HashMap::new();
-        let mut constants: HashMap<&str, &TensorProto> =
-            graph.initializer.iter().map(|tensor| (tensor.name.as_str(), tensor)).collect();
+        let mut constants: HashMap<&str, &TensorProto> = graph
+            .initializer
+            .iter()
+            .map(|tensor| (tensor.name.as_str(), tensor))
+            .collect();
         for (index, node) in graph.node.iter().enumerate() {
             for input in &node.input {
                 read_by.entry(input).or_default().push(index);
@@ -136,13 +156,26 @@ impl<'a> Reader<'a> {
                 made_by.insert(output.as_str(), index);
             }
             if node.op_type == "Constant"
-                && let (Some(tensor), [output]) = (attribute(node, "value").and_then(|a| a.t.as_ref()), &node.output[..])
+                && let (Some(tensor), [output]) = (
+                    attribute(node, "value").and_then(|a| a.t.as_ref()),
+                    &node.output[..],
+                )
             {
                 constants.insert(output, tensor);
             }
         }
-        let outputs = graph.output.iter().map(|output| output.name.as_str()).collect();
-        Self { graph, made_by, read_by, constants, outputs }
+        let outputs = graph
+            .output
+            .iter()
+            .map(|output| output.name.as_str())
+            .collect();
+        Self {
+            graph,
+            made_by,
+            read_by,
+            constants,
+            outputs,
+        }
     }
 
     fn readers(&self, name: &str) -> &[usize] {
@@ -150,7 +183,9 @@ impl<'a> Reader<'a> {
     }
 
     fn maker(&self, name: &str) -> Option<(usize, &'a NodeProto)> {
-        self.made_by.get(name).map(|&index| (index, &self.graph.node[index]))
+        self.made_by
+            .get(name)
+            .map(|&index| (index, &self.graph.node[index]))
     }
 
     /// Exactly one node reads it, and it is no output of the graph.
@@ -169,7 +204,14 @@ impl<'a> Reader<'a> {
 
     fn floats(&self, name: &str) -> Option<Vec<f32>> {
         let tensor = self.constant(name)?;
-        Some(tensor.try_as_plain_ram().ok()?.as_slice::<f32>().ok()?.to_vec())
+        Some(
+            tensor
+                .try_as_plain_ram()
+                .ok()?
+                .as_slice::<f32>()
+                .ok()?
+                .to_vec(),
+        )
     }
 
     /// Integers of any type, their shape and their type.
@@ -178,9 +220,24 @@ impl<'a> Reader<'a> {
         let shape = tensor.shape().to_vec();
         let plain = tensor.try_as_plain_ram().ok()?;
         let values = match tensor.datum_type() {
-            DatumType::U8 => plain.as_slice::<u8>().ok()?.iter().map(|&v| i64::from(v)).collect(),
-            DatumType::I8 => plain.as_slice::<i8>().ok()?.iter().map(|&v| i64::from(v)).collect(),
-            DatumType::I32 => plain.as_slice::<i32>().ok()?.iter().map(|&v| i64::from(v)).collect(),
+            DatumType::U8 => plain
+                .as_slice::<u8>()
+                .ok()?
+                .iter()
+                .map(|&v| i64::from(v))
+                .collect(),
+            DatumType::I8 => plain
+                .as_slice::<i8>()
+                .ok()?
+                .iter()
+                .map(|&v| i64::from(v))
+                .collect(),
+            DatumType::I32 => plain
+                .as_slice::<i32>()
+                .ok()?
+                .iter()
+                .map(|&v| i64::from(v))
+                .collect(),
             DatumType::I64 => plain.as_slice::<i64>().ok()?.to_vec(),
             _ => return None,
         };
@@ -202,29 +259,46 @@ impl<'a> Reader<'a> {
                 _ => return None,
             },
         };
-        Some(Quantization { scale, zero: u8::try_from(zero).ok()? })
+        Some(Quantization {
+            scale,
+            zero: u8::try_from(zero).ok()?,
+        })
     }
 
     /// The byte tensor behind an f32 name, and the node that dequantizes it.
     fn operand(&self, name: &str) -> Option<Operand> {
-        let (_, node) = self.maker(name).filter(|(_, node)| node.op_type == "DequantizeLinear")?;
+        let (_, node) = self
+            .maker(name)
+            .filter(|(_, node)| node.op_type == "DequantizeLinear")?;
         let bytes = node.input.first()?;
         if self.constants.contains_key(bytes.as_str()) {
             return None;
         }
-        Some(Operand { name: bytes.clone(), quantization: self.quantization(node)? })
+        Some(Operand {
+            name: bytes.clone(),
+            quantization: self.quantization(node)?,
+        })
     }
 
     /// A constant that is stored quantized (DequantizeLinear of integers), or that is quantized on the spot
     /// (DequantizeLinear of QuantizeLinear of f32).
     fn quantized_constant(&self, name: &str, nodes: &mut Vec<usize>) -> Option<Integers> {
-        let (index, node) = self.maker(name).filter(|(_, node)| node.op_type == "DequantizeLinear")?;
+        let (index, node) = self
+            .maker(name)
+            .filter(|(_, node)| node.op_type == "DequantizeLinear")?;
         nodes.push(index);
         let scales = self.floats(node.input.get(1)?)?;
-        if scales.iter().any(|scale| !scale.is_finite() || *scale <= 0.0) {
+        if scales
+            .iter()
+            .any(|scale| !scale.is_finite() || *scale <= 0.0)
+        {
             return None;
         }
-        nodes.extend(node.input.iter().filter_map(|input| self.made_by.get(input.as_str())));
+        nodes.extend(
+            node.input
+                .iter()
+                .filter_map(|input| self.made_by.get(input.as_str())),
+        );
         let zeros = match node.input.get(2).filter(|name| !name.is_empty()) {
             None => None,
             Some(zeros) => Some(self.integers(zeros)?),
@@ -234,16 +308,24 @@ impl<'a> Reader<'a> {
         let (mut values, shape) = match self.integers(source) {
             Some((values, shape, _)) => (values, shape),
             None => {
-                let (_, quantize) = self.maker(source).filter(|(_, node)| node.op_type == "QuantizeLinear")?;
+                let (_, quantize) = self
+                    .maker(source)
+                    .filter(|(_, node)| node.op_type == "QuantizeLinear")?;
                 let tensor = self.constant(quantize.input.first()?)?;
                 let floats = self.floats(quantize.input.first()?)?;
-                let same = quantize.input.get(1) == node.input.get(1) && quantize.input.get(2) == node.input.get(2);
+                let same = quantize.input.get(1) == node.input.get(1)
+                    && quantize.input.get(2) == node.input.get(2);
                 let shape = tensor.shape().to_vec();
                 let per = floats.len() / shape.first().copied().unwrap_or(1).max(1);
                 if !same || (scales.len() > 1 && integer(quantize, "axis", 1) != 0) {
                     return None;
                 }
-                nodes.extend(quantize.input.iter().filter_map(|input| self.made_by.get(input.as_str())));
+                nodes.extend(
+                    quantize
+                        .input
+                        .iter()
+                        .filter_map(|input| self.made_by.get(input.as_str())),
+                );
                 let (low, high) = match zeros.as_ref() {
                     Some((_, _, DatumType::I8)) => (-128, 127),
                     None | Some((_, _, DatumType::U8)) => (0, 255),
@@ -252,7 +334,9 @@ impl<'a> Reader<'a> {
                 let quantized = |(index, value): (usize, &f32)| {
                     let row = index / per.max(1);
                     let scale = *scales.get(row).or(scales.first())?;
-                    let zero = zeros.as_ref().map_or(Some(0), |(z, ..)| z.get(row).or(z.first()).copied())?;
+                    let zero = zeros
+                        .as_ref()
+                        .map_or(Some(0), |(z, ..)| z.get(row).or(z.first()).copied())?;
                     Some(((value / scale).round_ties_even() as i64 + zero).clamp(low, high))
                 };
                 let values: Option<Vec<i64>> = floats.iter().enumerate().map(quantized).collect();
@@ -272,7 +356,11 @@ impl<'a> Reader<'a> {
                 *value -= zeros[index / per];
             }
         }
-        Some(Integers { values, shape, scales })
+        Some(Integers {
+            values,
+            shape,
+            scales,
+        })
     }
 
     /// The layer that ends in a QuantizeLinear.
@@ -292,23 +380,40 @@ impl<'a> Reader<'a> {
                     operation,
                     inputs,
                     output: quantize.output.first()?.clone(),
-                    form: Form::Bytes { quantization, range },
+                    form: Form::Bytes {
+                        quantization,
+                        range,
+                    },
                 },
                 nodes,
             })
         };
         if let Some((operand, table, nodes)) = self.function_of_a_byte(float, quantization) {
-            return found(Operation::Table(Box::new(table)), vec![operand], 0..=255, nodes);
+            return found(
+                Operation::Table(Box::new(table)),
+                vec![operand],
+                0..=255,
+                nodes,
+            );
         }
         let mut nodes = Vec::new();
         let range = self.clamps(float, quantization, &mut nodes);
-        if let Some((operation, inputs)) = range
-            .as_ref()
-            .and_then(|(before, range)| self.operation(before, &Form::Bytes { quantization, range: range.clone() }, &mut nodes))
-        {
+        if let Some((operation, inputs)) = range.as_ref().and_then(|(before, range)| {
+            self.operation(
+                before,
+                &Form::Bytes {
+                    quantization,
+                    range: range.clone(),
+                },
+                &mut nodes,
+            )
+        }) {
             return found(operation, inputs, range?.1, nodes);
         }
-        let input = Operand { name: float.clone(), quantization };
+        let input = Operand {
+            name: float.clone(),
+            quantization,
+        };
         found(Operation::Quantize, vec![input], 0..=255, Vec::new())
     }
 
@@ -321,7 +426,14 @@ impl<'a> Reader<'a> {
         while self.is_private(reader) {
             let next = &self.graph.node[self.readers(reader)[0]];
             match next.op_type.as_str() {
-                "QuantizeLinear" if self.bytes_layer(self.readers(reader)[0])?.nodes.contains(&node) => return None,
+                "QuantizeLinear"
+                    if self
+                        .bytes_layer(self.readers(reader)[0])?
+                        .nodes
+                        .contains(&node) =>
+                {
+                    return None;
+                }
                 "Relu" | "Clip" => reader = next.output.first()?,
                 _ => break,
             }
@@ -332,7 +444,15 @@ impl<'a> Reader<'a> {
         }
         nodes.sort_unstable();
         nodes.dedup();
-        Some(Recognized { layer: Layer { operation, inputs, output: name.clone(), form: Form::Floats }, nodes })
+        Some(Recognized {
+            layer: Layer {
+                operation,
+                inputs,
+                output: name.clone(),
+                form: Form::Floats,
+            },
+            nodes,
+        })
     }
 
     /// The name in front of ReLU and Clip, and what they leave of the bytes.
@@ -356,7 +476,12 @@ impl<'a> Reader<'a> {
                 quantization.byte(most).clamp(low, high),
             );
             nodes.push(index);
-            nodes.extend(node.input.iter().skip(1).filter_map(|input| self.made_by.get(input.as_str())));
+            nodes.extend(
+                node.input
+                    .iter()
+                    .skip(1)
+                    .filter_map(|input| self.made_by.get(input.as_str())),
+            );
             name = node.input.first()?;
         }
         (self.is_private(name) && low <= high).then_some((name, low..=high))
@@ -368,10 +493,15 @@ impl<'a> Reader<'a> {
             "Relu" => Some([0.0, f32::INFINITY]),
             "Clip" => {
                 let bound = |input: usize, name: &str, default: f32| match node.input.get(input) {
-                    Some(constant) if !constant.is_empty() => self.floats(constant)?.first().copied(),
+                    Some(constant) if !constant.is_empty() => {
+                        self.floats(constant)?.first().copied()
+                    }
                     _ => Some(float(node, name, default)),
                 };
-                let bounds = [bound(1, "min", f32::NEG_INFINITY)?, bound(2, "max", f32::INFINITY)?];
+                let bounds = [
+                    bound(1, "min", f32::NEG_INFINITY)?,
+                    bound(2, "max", f32::INFINITY)?,
+                ];
                 (bounds[0] <= bounds[1]).then_some(bounds)
             }
             _ => None,
@@ -379,7 +509,11 @@ impl<'a> Reader<'a> {
     }
 
     /// A chain of functions of one number between a DequantizeLinear and `name`, as a table of bytes.
-    fn function_of_a_byte(&self, name: &str, output: Quantization) -> Option<(Operand, [u8; 256], Vec<usize>)> {
+    fn function_of_a_byte(
+        &self,
+        name: &str,
+        output: Quantization,
+    ) -> Option<(Operand, [u8; 256], Vec<usize>)> {
         let mut chain = Vec::new();
         let mut nodes = Vec::new();
         let mut name = name;
@@ -390,7 +524,12 @@ impl<'a> Reader<'a> {
             let (index, node) = self.maker(name).filter(|_| self.is_private(name))?;
             chain.push(self.function(node)?);
             nodes.push(index);
-            nodes.extend(node.input.iter().skip(1).filter_map(|input| self.made_by.get(input.as_str())));
+            nodes.extend(
+                node.input
+                    .iter()
+                    .skip(1)
+                    .filter_map(|input| self.made_by.get(input.as_str())),
+            );
             name = node.input.first()?;
         };
         let mut table = [0; 256];
@@ -433,7 +572,12 @@ impl<'a> Reader<'a> {
     }
 
     /// The operation that makes the f32 tensor `name` from bytes.
-    fn operation(&self, name: &str, form: &Form, nodes: &mut Vec<usize>) -> Option<(Operation, Vec<Operand>)> {
+    fn operation(
+        &self,
+        name: &str,
+        form: &Form,
+        nodes: &mut Vec<usize>,
+    ) -> Option<(Operation, Vec<Operand>)> {
         let (index, node) = self.maker(name)?;
         nodes.push(index);
         let input = |number: usize| self.operand(node.input.get(number)?);
@@ -453,7 +597,12 @@ impl<'a> Reader<'a> {
                 Some((Operation::Concat, inputs?))
             }
             "Resize" => {
-                nodes.extend(node.input.iter().skip(1).filter_map(|input| self.made_by.get(input.as_str())));
+                nodes.extend(
+                    node.input
+                        .iter()
+                        .skip(1)
+                        .filter_map(|input| self.made_by.get(input.as_str())),
+                );
                 first(Operation::Resize(self.resize(node)?))
             }
             "MaxPool" if node.output.len() == 1 => first(Operation::MaxPool(pool(node)?)),
@@ -466,18 +615,29 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn convolution(&self, node: &NodeProto, input: Quantization, nodes: &mut Vec<usize>) -> Option<Convolution> {
+    fn convolution(
+        &self,
+        node: &NodeProto,
+        input: Quantization,
+        nodes: &mut Vec<usize>,
+    ) -> Option<Convolution> {
         let weights = self.quantized_constant(node.input.get(1)?, nodes)?;
         let &[outputs, per_group, rows, columns] = &weights.shape[..] else {
             return None;
         };
         let window = window(node, Some([rows, columns]))?;
-        let groups = usize::try_from(integer(node, "group", 1)).ok().filter(|&groups| groups > 0)?;
+        let groups = usize::try_from(integer(node, "group", 1))
+            .ok()
+            .filter(|&groups| groups > 0)?;
         if outputs == 0 || per_group == 0 || rows == 0 || columns == 0 || outputs % groups != 0 {
             return None;
         }
         let inputs = per_group * groups;
-        let values: Option<Vec<i8>> = weights.values.iter().map(|&v| i8::try_from(v).ok()).collect();
+        let values: Option<Vec<i8>> = weights
+            .values
+            .iter()
+            .map(|&v| i8::try_from(v).ok())
+            .collect();
         let mut values = values?;
         // Pixels of four channels or fewer may be packed too tightly for the depthwise kernel.
         let depthwise = per_group == 1 && groups == outputs && groups > 4;
@@ -499,11 +659,25 @@ impl<'a> Reader<'a> {
             None => vec![0; outputs],
             Some(name) => self.bias(name, input, &scales, nodes)?,
         };
-        Some(Convolution { depthwise, inputs, outputs, weights: values, scales, bias, window })
+        Some(Convolution {
+            depthwise,
+            inputs,
+            outputs,
+            weights: values,
+            scales,
+            bias,
+            window,
+        })
     }
 
     /// The bias in units of `s_i s_w`.
-    fn bias(&self, name: &str, input: Quantization, scales: &[f32], nodes: &mut Vec<usize>) -> Option<Vec<i32>> {
+    fn bias(
+        &self,
+        name: &str,
+        input: Quantization,
+        scales: &[f32],
+        nodes: &mut Vec<usize>,
+    ) -> Option<Vec<i32>> {
         let reals: Vec<f64> = match self.floats(name) {
             Some(floats) => {
                 nodes.extend(self.made_by.get(name));
@@ -511,9 +685,21 @@ impl<'a> Reader<'a> {
             }
             None => {
                 let integers = self.quantized_constant(name, nodes)?;
-                let scale = |index: usize| integers.scales.get(index).or(integers.scales.first()).copied();
-                let real = |(index, &value): (usize, &i64)| Some(value as f64 * f64::from(scale(index)?));
-                integers.values.iter().enumerate().map(real).collect::<Option<_>>()?
+                let scale = |index: usize| {
+                    integers
+                        .scales
+                        .get(index)
+                        .or(integers.scales.first())
+                        .copied()
+                };
+                let real =
+                    |(index, &value): (usize, &i64)| Some(value as f64 * f64::from(scale(index)?));
+                integers
+                    .values
+                    .iter()
+                    .enumerate()
+                    .map(real)
+                    .collect::<Option<_>>()?
             }
         };
         if reals.len() != scales.len() {
@@ -547,18 +733,29 @@ impl<'a> Reader<'a> {
             "ceil" => Nearest::Ceil,
             _ => return None,
         };
-        let other = ["antialias", "exclude_outside", "keep_aspect_ratio_policy", "axes"];
-        if other.iter().any(|name| attribute(node, name).is_some_and(|a| a.i != 0 || !a.s.is_empty() || !a.ints.is_empty())) {
+        let other = [
+            "antialias",
+            "exclude_outside",
+            "keep_aspect_ratio_policy",
+            "axes",
+        ];
+        if other.iter().any(|name| {
+            attribute(node, name).is_some_and(|a| a.i != 0 || !a.s.is_empty() || !a.ints.is_empty())
+        }) {
             return None;
         }
         let given = |number: usize| node.input.get(number).filter(|name| !name.is_empty());
         let target = match (given(2), given(3)) {
             (_, Some(sizes)) => match self.integers(sizes)?.0[..] {
-                [1, _, height, width] => Target::Sizes([height.try_into().ok()?, width.try_into().ok()?]),
+                [1, _, height, width] => {
+                    Target::Sizes([height.try_into().ok()?, width.try_into().ok()?])
+                }
                 _ => return None,
             },
             (Some(scales), None) => match self.floats(scales)?[..] {
-                [1.0, 1.0, height, width] if (0.01..=100.0).contains(&height) && (0.01..=100.0).contains(&width) => {
+                [1.0, 1.0, height, width]
+                    if (0.01..=100.0).contains(&height) && (0.01..=100.0).contains(&width) =>
+                {
                     Target::Scales([height, width])
                 }
                 _ => return None,
@@ -566,7 +763,12 @@ impl<'a> Reader<'a> {
             (None, None) => return None,
         };
         // With sizes the number of channels is not checked here; the layer keeps it, and tract would too.
-        Some(Resize { linear, coordinates, nearest, target })
+        Some(Resize {
+            linear,
+            coordinates,
+            nearest,
+            target,
+        })
     }
 }
 
@@ -579,7 +781,8 @@ fn pool(node: &NodeProto) -> Option<Window> {
 
 fn window(node: &NodeProto, kernel: Option<[usize; 2]>) -> Option<Window> {
     let kernel = match (kernel, attribute(node, "kernel_shape").is_some()) {
-        (kernel, true) => Some(sizes(node, "kernel_shape", [0; 2])?).filter(|k| kernel.is_none_or(|kernel| kernel == *k)),
+        (kernel, true) => Some(sizes(node, "kernel_shape", [0; 2])?)
+            .filter(|k| kernel.is_none_or(|kernel| kernel == *k)),
         (kernel, false) => kernel,
     }?;
     let strides = sizes(node, "strides", [1; 2])?;
@@ -591,6 +794,14 @@ fn window(node: &NodeProto, kernel: Option<[usize; 2]>) -> Option<Window> {
         "SAME_LOWER" => Padding::Same(true),
         _ => return None,
     };
-    let positive = [kernel, strides, dilations].iter().flatten().all(|&n| (1..=1024).contains(&n));
-    positive.then_some(Window { kernel, strides, dilations, padding })
+    let positive = [kernel, strides, dilations]
+        .iter()
+        .flatten()
+        .all(|&n| (1..=1024).contains(&n));
+    positive.then_some(Window {
+        kernel,
+        strides,
+        dilations,
+        padding,
+    })
 }

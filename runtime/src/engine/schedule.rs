@@ -10,10 +10,12 @@ use std::sync::{Mutex, PoisonError};
 use super::arena::{Arena, Shared};
 use super::island::Island;
 use super::kernels::{
-    Addition, Dense, Depthwise, Halves, Kernel, Row, ToBytes, average_row, concat_row, dequantize_row, max_row,
-    multiply_row, quantize_row, resize_row, table_row,
+    Addition, Dense, Depthwise, Halves, Kernel, Row, ToBytes, average_row, concat_row, copy_row,
+    dequantize_row, max_row, multiply_row, quantize_row, resize_row, table_row,
 };
-use super::layer::{Between, Convolution, Form, Layer, Operand, Operation, Quantization, Shape, Window};
+use super::layer::{
+    Between, Convolution, Form, Layer, Operand, Operation, Quantization, Shape, Window,
+};
 use super::threads::{Member, Team};
 
 /// Widest convolution that shares one block with its siblings.
@@ -78,30 +80,80 @@ impl Taps {
         Ok(Self {
             runs,
             base: (input.border - top) * input.row_bytes() + (input.border - left) * input.pitch,
-            steps: [window.strides[0] * input.row_bytes(), window.strides[1] * input.pitch],
+            steps: [
+                window.strides[0] * input.row_bytes(),
+                window.strides[1] * input.pitch,
+            ],
         })
     }
 
     fn row<'a>(&'a self, input: &'a [u8], y: usize, pixels: usize) -> Row<'a> {
-        Row { input, base: self.base + y * self.steps[0], runs: &self.runs, step: self.steps[1], pixels }
+        Row {
+            input,
+            base: self.base + y * self.steps[0],
+            runs: &self.runs,
+            step: self.steps[1],
+            pixels,
+        }
     }
 }
 
 #[derive(Debug)]
 enum Work {
-    Quantize { input: usize, quantization: Quantization },
-    Dense { dense: Dense, taps: Taps, to: ToBytes },
+    Quantize {
+        input: usize,
+        quantization: Quantization,
+    },
+    Dense {
+        dense: Dense,
+        taps: Taps,
+        to: ToBytes,
+    },
     /// Outputs, their channels, and planes of `height x width` f32.
-    DenseFloats { dense: Dense, taps: Taps, outputs: Vec<(usize, usize)>, size: [usize; 2] },
-    Depthwise { depthwise: Depthwise, taps: Taps, to: ToBytes },
+    DenseFloats {
+        dense: Dense,
+        taps: Taps,
+        outputs: Vec<(usize, usize)>,
+        size: [usize; 2],
+    },
+    Depthwise {
+        depthwise: Depthwise,
+        taps: Taps,
+        to: ToBytes,
+    },
     Add(Addition),
-    Multiply { zeros: [u8; 2], factor: f32, to: ToBytes },
+    Multiply {
+        zeros: [u8; 2],
+        factor: f32,
+        to: ToBytes,
+    },
     Table(Box<[u8; 256]>),
     Concat(Vec<[u8; 256]>),
-    Resize { rows: Vec<Between>, columns: Vec<Between>, to: ToBytes, zero: u8, factor: f32, same: bool },
-    MaxPool { window: Window, before: [usize; 2], table: Box<[u8; 256]> },
-    Average { window: Window, before: [usize; 2], counts_padding: bool, zero: u8, factor: f32, to: ToBytes },
-    Dequantize { quantization: Quantization, output: usize },
+    Resize {
+        rows: Vec<Between>,
+        columns: Vec<Between>,
+        to: ToBytes,
+        zero: u8,
+        factor: f32,
+        same: bool,
+    },
+    MaxPool {
+        window: Window,
+        before: [usize; 2],
+        table: Box<[u8; 256]>,
+    },
+    Average {
+        window: Window,
+        before: [usize; 2],
+        counts_padding: bool,
+        zero: u8,
+        factor: f32,
+        to: ToBytes,
+    },
+    Dequantize {
+        quantization: Quantization,
+        output: usize,
+    },
 }
 
 #[derive(Debug)]
@@ -128,12 +180,22 @@ pub(crate) struct Schedule {
 
 impl Schedule {
     /// Plans `island` for inputs of these shapes. The error says what about the model cannot be done.
-    pub(crate) fn new(island: &Island, inputs: &[Shape], kernel: Kernel, threads: usize) -> Result<Self, String> {
+    pub(crate) fn new(
+        island: &Island,
+        inputs: &[Shape],
+        kernel: Kernel,
+        threads: usize,
+    ) -> Result<Self, String> {
         if !kernel.is_supported() {
             return Err(format!("this processor has no {kernel:?}"));
         }
         let shapes = island.shapes(inputs)?;
-        let shape = |name: &String| shapes.get(name.as_str()).copied().ok_or_else(|| format!("`{name}` is not made"));
+        let shape = |name: &String| {
+            shapes
+                .get(name.as_str())
+                .copied()
+                .ok_or_else(|| format!("`{name}` is not made"))
+        };
         let outputs: Vec<Shape> = island.outputs.iter().map(shape).collect::<Result<_, _>>()?;
         let order = with_siblings_together(&island.layers);
         let (buffers, arena) = place(&order, &shapes)?;
@@ -143,8 +205,18 @@ impl Schedule {
             .collect::<Result<Vec<_>, _>>()?;
         let team = Team::new(threads);
         let widest = steps.iter().map(scratch).max().unwrap_or(0);
-        let scratch = (0..threads.max(1)).map(|_| Mutex::new(vec![0.0; widest])).collect();
-        Ok(Self { kernel, steps, arena: Arena::new(arena), team, scratch, inputs: inputs.to_vec(), outputs })
+        let scratch = (0..threads.max(1))
+            .map(|_| Mutex::new(vec![0.0; widest]))
+            .collect();
+        Ok(Self {
+            kernel,
+            steps,
+            arena: Arena::new(arena),
+            team,
+            scratch,
+            inputs: inputs.to_vec(),
+            outputs,
+        })
     }
 
     /// Shapes of the f32 tensors that it writes.
@@ -153,10 +225,22 @@ impl Schedule {
     }
 
     /// Runs the island: planar f32 in, planar f32 out.
-    pub(crate) fn run(&mut self, inputs: &[&[f32]], outputs: &[Shared<'_, f32>]) -> Result<(), String> {
+    pub(crate) fn run(
+        &mut self,
+        inputs: &[&[f32]],
+        outputs: &[Shared<'_, f32>],
+    ) -> Result<(), String> {
         let fits = |shape: &Shape, tensor: &&[f32]| shape.iter().product::<usize>() == tensor.len();
-        if inputs.len() != self.inputs.len() || !self.inputs.iter().zip(inputs).all(|(shape, input)| fits(shape, input)) {
-            return Err("the island's inputs are not of the sizes that it was planned for".to_owned());
+        if inputs.len() != self.inputs.len()
+            || !self
+                .inputs
+                .iter()
+                .zip(inputs)
+                .all(|(shape, input)| fits(shape, input))
+        {
+            return Err(
+                "the island's inputs are not of the sizes that it was planned for".to_owned(),
+            );
         }
         let run = Run {
             kernel: self.kernel,
@@ -175,7 +259,11 @@ impl Schedule {
                 }
             }
         });
-        if whole { Ok(()) } else { Err("the engine panicked on it; please report the model".to_owned()) }
+        if whole {
+            Ok(())
+        } else {
+            Err("the engine panicked on it; please report the model".to_owned())
+        }
     }
 }
 
@@ -183,15 +271,19 @@ impl Schedule {
 fn with_siblings_together(layers: &[Layer]) -> Vec<Vec<&Layer>> {
     let mut order: Vec<Vec<&Layer>> = Vec::new();
     let dense = |layer: &Layer| match (&layer.operation, &layer.form) {
-        (Operation::Convolution(c), Form::Floats) if !c.depthwise => Some((c.outputs, c.window.clone())),
+        (Operation::Convolution(c), Form::Floats) if !c.depthwise => {
+            Some((c.outputs, c.window.clone()))
+        }
         _ => None,
     };
     for layer in layers {
         if let Some((outputs, window)) = dense(layer) {
             let joins = |siblings: &&mut Vec<&Layer>| {
-                let together: Option<Vec<_>> = siblings.iter().map(|sibling| dense(sibling)).collect();
+                let together: Option<Vec<_>> =
+                    siblings.iter().map(|sibling| dense(sibling)).collect();
                 together.is_some_and(|together| {
-                    together.iter().map(|(outputs, _)| outputs).sum::<usize>() + outputs <= SIBLING_LANES
+                    together.iter().map(|(outputs, _)| outputs).sum::<usize>() + outputs
+                        <= SIBLING_LANES
                         && together[0].1 == window
                         && siblings[0].inputs[0].name == layer.inputs[0].name
                         && siblings[0].inputs[0].quantization == layer.inputs[0].quantization
@@ -222,18 +314,32 @@ fn place<'a>(
     let mut buffers: HashMap<&str, Buffer> = HashMap::new();
     let mut live: HashMap<&str, [usize; 2]> = HashMap::new();
     let mut border_of: HashMap<&str, u8> = HashMap::new();
-    for (time, layer) in order.iter().enumerate().flat_map(|(time, layers)| layers.iter().map(move |l| (time, *l))) {
+    for (time, layer) in order
+        .iter()
+        .enumerate()
+        .flat_map(|(time, layers)| layers.iter().map(move |l| (time, *l)))
+    {
         if let Form::Bytes { quantization, .. } = layer.form {
             let [channels, height, width] = shapes[layer.output.as_str()];
             let pitch = pitch(layer, channels);
             let zero = quantization.zero;
-            let buffer = Buffer { offset: 0, channels, height, width, pitch, border: 0, zero };
+            let buffer = Buffer {
+                offset: 0,
+                channels,
+                height,
+                width,
+                pitch,
+                border: 0,
+                zero,
+            };
             buffers.insert(&layer.output, buffer);
             live.insert(&layer.output, [time, time]);
         }
         for input in &layer.inputs {
-            let (Some(live), Some(buffer)) = (live.get_mut(input.name.as_str()), buffers.get_mut(input.name.as_str()))
-            else {
+            let (Some(live), Some(buffer)) = (
+                live.get_mut(input.name.as_str()),
+                buffers.get_mut(input.name.as_str()),
+            ) else {
                 continue;
             };
             live[1] = time;
@@ -243,12 +349,16 @@ fn place<'a>(
             let size = [buffer.height, buffer.width];
             let (before, outputs) = window.place(size)?;
             let border = (0..2).map(|axis| {
-                let end = (outputs[axis] - 1) * window.strides[axis] + (window.kernel[axis] - 1) * window.dilations[axis] + 1;
+                let end = (outputs[axis] - 1) * window.strides[axis]
+                    + (window.kernel[axis] - 1) * window.dilations[axis]
+                    + 1;
                 before[axis].max(end.saturating_sub(before[axis] + size[axis]))
             });
             let border = border.max().unwrap_or(0);
             if border > 0 {
-                let zero = *border_of.entry(&input.name).or_insert(input.quantization.zero);
+                let zero = *border_of
+                    .entry(&input.name)
+                    .or_insert(input.quantization.zero);
                 if zero != input.quantization.zero {
                     return Err(format!("`{}` is read with two zero points", input.name));
                 }
@@ -264,10 +374,15 @@ fn place<'a>(
     let mut end = 0;
     for name in names {
         let [first, last] = live[name];
-        let Some(buffer) = buffers.get_mut(name) else { continue };
+        let Some(buffer) = buffers.get_mut(name) else {
+            continue;
+        };
         let length = buffer.len().next_multiple_of(64);
-        let mut taken: Vec<&Range<usize>> =
-            placed.iter().filter(|(_, [f, l])| *f <= last && first <= *l).map(|(range, _)| range).collect();
+        let mut taken: Vec<&Range<usize>> = placed
+            .iter()
+            .filter(|(_, [f, l])| *f <= last && first <= *l)
+            .map(|(range, _)| range)
+            .collect();
         taken.sort_by_key(|range| range.start);
         let mut offset = 0;
         for range in taken {
@@ -287,7 +402,11 @@ fn place<'a>(
 }
 
 /// What a change of scale makes of each byte.
-fn rescale(from: Quantization, to: Quantization, range: &std::ops::RangeInclusive<u8>) -> [u8; 256] {
+fn rescale(
+    from: Quantization,
+    to: Quantization,
+    range: &std::ops::RangeInclusive<u8>,
+) -> [u8; 256] {
     let mut table = [0; 256];
     for (byte, out) in (0..=255).zip(&mut table) {
         *out = to.byte(from.real(byte)).clamp(*range.start(), *range.end());
@@ -305,23 +424,51 @@ fn step(
 ) -> Result<Step, String> {
     let layer = siblings[0];
     let unknown = |name: &str| format!("`{name}` is not made");
-    let buffer = |operand: &Operand| buffers.get(operand.name.as_str()).copied().ok_or_else(|| unknown(&operand.name));
+    let buffer = |operand: &Operand| {
+        buffers
+            .get(operand.name.as_str())
+            .copied()
+            .ok_or_else(|| unknown(&operand.name))
+    };
     let output = |layer: &Layer| {
-        island.outputs.iter().position(|name| *name == layer.output).ok_or_else(|| unknown(&layer.output))
+        island
+            .outputs
+            .iter()
+            .position(|name| *name == layer.output)
+            .ok_or_else(|| unknown(&layer.output))
     };
     let [_, rows, width] = shapes[layer.output.as_str()];
     let writes = buffers.get(layer.output.as_str()).copied();
     if let Operation::Quantize = layer.operation {
         let name = &layer.inputs[0].name;
-        let input = island.inputs.iter().position(|input| input == name).ok_or_else(|| unknown(name))?;
-        let work = Work::Quantize { input, quantization: layer.inputs[0].quantization };
-        return Ok(Step { work, reads: Vec::new(), writes, rows });
+        let input = island
+            .inputs
+            .iter()
+            .position(|input| input == name)
+            .ok_or_else(|| unknown(name))?;
+        let work = Work::Quantize {
+            input,
+            quantization: layer.inputs[0].quantization,
+        };
+        return Ok(Step {
+            work,
+            reads: Vec::new(),
+            writes,
+            rows,
+        });
     }
     let reads: Vec<Buffer> = layer.inputs.iter().map(buffer).collect::<Result<_, _>>()?;
-    let from: Vec<Quantization> = layer.inputs.iter().map(|input| input.quantization).collect();
+    let from: Vec<Quantization> = layer
+        .inputs
+        .iter()
+        .map(|input| input.quantization)
+        .collect();
     let work = match (&layer.operation, &layer.form) {
         (Operation::Quantize, _) => return Err(unknown(&layer.output)),
-        (Operation::Dequantize, _) => Work::Dequantize { quantization: from[0], output: output(layer)? },
+        (Operation::Dequantize, _) => Work::Dequantize {
+            quantization: from[0],
+            output: output(layer)?,
+        },
         (Operation::Convolution(convolution), Form::Floats) => {
             let convolutions: Vec<&Convolution> = siblings
                 .iter()
@@ -331,7 +478,8 @@ fn step(
                 })
                 .collect();
             let (dense, runs) = dense(&convolutions, from[0], &layer.form, &reads[0]);
-            let outputs: Result<Vec<usize>, String> = siblings.iter().map(|layer| output(layer)).collect();
+            let outputs: Result<Vec<usize>, String> =
+                siblings.iter().map(|layer| output(layer)).collect();
             let channels = convolutions.iter().map(|convolution| convolution.outputs);
             Work::DenseFloats {
                 dense,
@@ -340,14 +488,24 @@ fn step(
                 size: [rows, width],
             }
         }
-        (Operation::Convolution(convolution), Form::Bytes { quantization, range }) => {
-            let to = ToBytes { zero: quantization.zero, range: range.clone() };
+        (
+            Operation::Convolution(convolution),
+            Form::Bytes {
+                quantization,
+                range,
+            },
+        ) => {
+            let to = ToBytes {
+                zero: quantization.zero,
+                range: range.clone(),
+            };
             let window = &convolution.window;
             if convolution.depthwise {
                 let input = &reads[0];
                 let runs = (0..window.kernel[0]).flat_map(|row| {
                     (0..window.kernel[1]).map(move |column| {
-                        row * window.dilations[0] * input.row_bytes() + column * window.dilations[1] * input.pitch
+                        row * window.dilations[0] * input.row_bytes()
+                            + column * window.dilations[1] * input.pitch
                     })
                 });
                 let depthwise = Depthwise::new(
@@ -358,27 +516,52 @@ fn step(
                     &convolution.starts(from[0]),
                     &convolution.factors(from[0], &layer.form),
                 );
-                Work::Depthwise { depthwise, taps: Taps::new(window, input, runs.collect())?, to }
+                Work::Depthwise {
+                    depthwise,
+                    taps: Taps::new(window, input, runs.collect())?,
+                    to,
+                }
             } else {
                 let (dense, runs) = dense(&[convolution], from[0], &layer.form, &reads[0]);
-                Work::Dense { dense, taps: Taps::new(window, &reads[0], runs)?, to }
+                Work::Dense {
+                    dense,
+                    taps: Taps::new(window, &reads[0], runs)?,
+                    to,
+                }
             }
         }
         (_, Form::Floats) => return Err(format!("`{}` leaves the island as f32", layer.output)),
-        (operation, Form::Bytes { quantization, range }) => {
-            let to = ToBytes { zero: quantization.zero, range: range.clone() };
+        (
+            operation,
+            Form::Bytes {
+                quantization,
+                range,
+            },
+        ) => {
+            let to = ToBytes {
+                zero: quantization.zero,
+                range: range.clone(),
+            };
             let factor = from[0].scale / quantization.scale;
             let zero = from[0].zero;
             let pitches: Vec<usize> = reads.iter().map(|read| read.pitch).collect();
             let out_pitch = writes.map_or(0, |buffer| buffer.pitch);
-            if !matches!(operation, Operation::Concat) && pitches.iter().any(|&pitch| pitch != out_pitch) {
-                return Err(format!("`{}` has an input of four channels or fewer", layer.output));
+            if !matches!(operation, Operation::Concat)
+                && pitches.iter().any(|&pitch| pitch != out_pitch)
+            {
+                return Err(format!(
+                    "`{}` has an input of four channels or fewer",
+                    layer.output
+                ));
             }
             let size = [reads[0].height, reads[0].width];
             match operation {
                 Operation::Add => Work::Add(Addition {
                     zeros: [from[0].zero, from[1].zero],
-                    factors: [from[0].scale / quantization.scale, from[1].scale / quantization.scale],
+                    factors: [
+                        from[0].scale / quantization.scale,
+                        from[1].scale / quantization.scale,
+                    ],
                     to,
                 }),
                 Operation::Multiply => Work::Multiply {
@@ -387,9 +570,11 @@ fn step(
                     to,
                 },
                 Operation::Table(table) => Work::Table(table.clone()),
-                Operation::Concat => {
-                    Work::Concat(from.iter().map(|from| rescale(*from, *quantization, range)).collect())
-                }
+                Operation::Concat => Work::Concat(
+                    from.iter()
+                        .map(|from| rescale(*from, *quantization, range))
+                        .collect(),
+                ),
                 Operation::Resize(resize) => Work::Resize {
                     rows: resize.axis(0, size),
                     columns: resize.axis(1, size),
@@ -418,7 +603,14 @@ fn step(
                         dilations: [1; 2],
                         padding: super::layer::Padding::Explicit([0; 4]),
                     };
-                    Work::Average { window, before: [0; 2], counts_padding: false, zero, factor, to }
+                    Work::Average {
+                        window,
+                        before: [0; 2],
+                        counts_padding: false,
+                        zero,
+                        factor,
+                        to,
+                    }
                 }
                 Operation::Quantize | Operation::Dequantize | Operation::Convolution(_) => {
                     return Err(unknown(&layer.output));
@@ -426,14 +618,26 @@ fn step(
             }
         }
     };
-    Ok(Step { work, reads, writes, rows })
+    Ok(Step {
+        work,
+        reads,
+        writes,
+        rows,
+    })
 }
 
 /// Packs convolutions that read the same pixels, one after the other, and says where their runs are.
-fn dense(convolutions: &[&Convolution], from: Quantization, form: &Form, input: &Buffer) -> (Dense, Vec<usize>) {
+fn dense(
+    convolutions: &[&Convolution],
+    from: Quantization,
+    form: &Form,
+    input: &Buffer,
+) -> (Dense, Vec<usize>) {
     let Convolution { window, inputs, .. } = convolutions[0];
-    let (starts, factors): (Vec<_>, Vec<_>) =
-        convolutions.iter().map(|c| (c.starts(from), c.factors(from, form))).unzip();
+    let (starts, factors): (Vec<_>, Vec<_>) = convolutions
+        .iter()
+        .map(|c| (c.starts(from), c.factors(from, form)))
+        .unzip();
     let [rows, columns] = window.kernel;
     let channels = inputs.next_multiple_of(4);
     // Neighbouring taps of a row are neighbours in memory: one run.
@@ -442,7 +646,8 @@ fn dense(convolutions: &[&Convolution], from: Quantization, form: &Form, input: 
         (starts.collect(), (columns - 1) * input.pitch + channels)
     } else {
         let starts = (0..rows * columns).map(|tap| {
-            tap / columns * window.dilations[0] * input.row_bytes() + tap % columns * window.dilations[1] * input.pitch
+            tap / columns * window.dilations[0] * input.row_bytes()
+                + tap % columns * window.dilations[1] * input.pitch
         });
         (starts.collect(), channels)
     };
@@ -456,14 +661,31 @@ fn dense(convolutions: &[&Convolution], from: Quantization, form: &Form, input: 
         for convolution in convolutions {
             if output < convolution.outputs {
                 let at = (channel * rows + row) * columns + column;
-                return if channel < *inputs { convolution.filter(output)[at] } else { 0 };
+                return if channel < *inputs {
+                    convolution.filter(output)[at]
+                } else {
+                    0
+                };
             }
             output -= convolution.outputs;
         }
         0
     };
-    let outputs = convolutions.iter().map(|convolution| convolution.outputs).sum();
-    (Dense::new(outputs, runs.len(), run, &starts.concat(), &factors.concat(), weight), runs)
+    let outputs = convolutions
+        .iter()
+        .map(|convolution| convolution.outputs)
+        .sum();
+    (
+        Dense::new(
+            outputs,
+            runs.len(),
+            run,
+            &starts.concat(),
+            &factors.concat(),
+            weight,
+        ),
+        runs,
+    )
 }
 
 /// Row of f32 that a step needs.
@@ -509,7 +731,8 @@ impl Run<'_> {
             };
             let border = buffer.border * buffer.row_bytes();
             if y == 0 {
-                self.write(buffer.offset..buffer.offset + border).fill(buffer.zero);
+                self.write(buffer.offset..buffer.offset + border)
+                    .fill(buffer.zero);
             }
             if y + 1 == buffer.height {
                 let end = buffer.offset + buffer.len();
@@ -530,15 +753,25 @@ impl Run<'_> {
         let kernel = self.kernel;
         let input = |number: usize| self.read(step.reads[number].row(y));
         match &step.work {
-            Work::Quantize { input, quantization } => {
+            Work::Quantize {
+                input,
+                quantization,
+            } => {
                 let [channels, height, width] = self.shapes[*input];
-                let plane = |channel: usize| &self.inputs[*input][(channel * height + y) * width..][..width];
+                let plane = |channel: usize| {
+                    &self.inputs[*input][(channel * height + y) * width..][..width]
+                };
                 if buffer.pitch == 4 {
                     let mut planes: [&[f32]; 4] = [&[]; 4];
                     for (channel, place) in planes.iter_mut().enumerate().take(channels) {
                         *place = plane(channel);
                     }
-                    kernel.quantize_four(&planes[..channels], quantization.scale, quantization.zero, out);
+                    kernel.quantize_four(
+                        &planes[..channels],
+                        quantization.scale,
+                        quantization.zero,
+                        out,
+                    );
                 } else {
                     quantize_row(plane, channels, *quantization, out, buffer.pitch);
                 }
@@ -547,43 +780,87 @@ impl Run<'_> {
                 let row = taps.row(self.read(step.reads[0].all()), y, buffer.width);
                 kernel.dense_bytes(dense, &row, to, out, buffer.pitch);
             }
-            Work::Depthwise { depthwise, taps, to } => {
+            Work::Depthwise {
+                depthwise,
+                taps,
+                to,
+            } => {
                 let row = taps.row(self.read(step.reads[0].all()), y, buffer.width);
                 kernel.depthwise(depthwise, &row, to, out);
             }
             Work::Add(addition) => kernel.add(addition, input(0), input(1), out),
-            Work::Multiply { zeros, factor, to } => multiply_row(*zeros, *factor, to, input(0), input(1), out),
+            Work::Multiply { zeros, factor, to } => {
+                multiply_row(*zeros, *factor, to, input(0), input(1), out)
+            }
             Work::Table(table) => table_row(table, input(0), out),
             Work::Concat(tables) => {
                 let mut first = 0;
                 for (number, (table, read)) in tables.iter().zip(&step.reads).enumerate() {
-                    concat_row(table, input(number), read.channels, [read.pitch, buffer.pitch], first, out);
+                    concat_row(
+                        table,
+                        input(number),
+                        read.channels,
+                        [read.pitch, buffer.pitch],
+                        first,
+                        out,
+                    );
                     first += read.channels;
                 }
             }
-            Work::Resize { rows, columns, to, zero, factor, same } => {
-                let Between { first, second, weight } = rows[y];
+            Work::Resize {
+                rows,
+                columns,
+                to,
+                zero,
+                factor,
+                same,
+            } => {
+                let Between {
+                    first,
+                    second,
+                    weight,
+                } = rows[y];
                 let row = |y: usize| self.read(step.reads[0].row(y));
                 if *same {
                     let input = row(first);
-                    for (column, out) in columns.iter().zip(out.chunks_exact_mut(buffer.pitch)) {
-                        out.copy_from_slice(&input[column.first * buffer.pitch..][..buffer.pitch]);
-                    }
+                    copy_row(input, columns, buffer.pitch, out);
                 } else {
-                    let halves = Halves { rows: [row(first), row(second)], weight };
+                    let halves = Halves {
+                        rows: [row(first), row(second)],
+                        weight,
+                    };
                     resize_row(halves, columns, buffer.pitch, *zero, *factor, to, out);
                 }
             }
-            Work::MaxPool { window, before, table } => {
+            Work::MaxPool {
+                window,
+                before,
+                table,
+            } => {
                 for (x, out) in out.chunks_exact_mut(buffer.pitch).enumerate() {
-                    max_row(self.taps(&step.reads[0], window, *before, [y, x]), table, out);
+                    max_row(
+                        self.taps(&step.reads[0], window, *before, [y, x]),
+                        table,
+                        out,
+                    );
                 }
             }
-            Work::Average { window, before, counts_padding, zero, factor, to } => {
+            Work::Average {
+                window,
+                before,
+                counts_padding,
+                zero,
+                factor,
+                to,
+            } => {
                 for (x, out) in out.chunks_exact_mut(buffer.pitch).enumerate() {
                     let taps = self.taps(&step.reads[0], window, *before, [y, x]);
                     let all = window.kernel[0] * window.kernel[1];
-                    let count = if *counts_padding { all } else { taps.clone().count() };
+                    let count = if *counts_padding {
+                        all
+                    } else {
+                        taps.clone().count()
+                    };
                     average_row(taps, *zero, factor / count as f32, to, out);
                 }
             }
@@ -602,7 +879,8 @@ impl Run<'_> {
         let along = move |axis: usize, at: usize, length: usize| {
             (0..window.kernel[axis])
                 .filter_map(move |tap| {
-                    (at * window.strides[axis] + tap * window.dilations[axis]).checked_sub(before[axis])
+                    (at * window.strides[axis] + tap * window.dilations[axis])
+                        .checked_sub(before[axis])
                 })
                 .filter(move |&at| at < length)
         };
@@ -620,27 +898,45 @@ impl Run<'_> {
             unsafe { self.outputs[output].write(start..start + width) }
         };
         match &step.work {
-            Work::DenseFloats { dense, taps, outputs, size } => {
+            Work::DenseFloats {
+                dense,
+                taps,
+                outputs,
+                size,
+            } => {
                 let row = taps.row(self.read(step.reads[0].all()), y, size[1]);
-                let mut scratch = self.scratch[member].lock().unwrap_or_else(PoisonError::into_inner);
-                let lanes = dense.lanes();
-                let scratch = &mut scratch[..lanes * size[1]];
+                let mut scratch = self.scratch[member]
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner);
+                let scratch = &mut scratch[..dense.lanes() * size[1]];
                 self.kernel.dense_floats(dense, &row, scratch);
-                let mut lane = 0;
+                let mut lanes = scratch.chunks_exact(size[1]);
                 for &(output, channels) in outputs {
-                    for channel in 0..channels {
-                        for (out, pixel) in plane(output, channel, *size).iter_mut().zip(scratch.chunks_exact(lanes)) {
-                            *out = pixel[lane];
-                        }
-                        lane += 1;
+                    for (channel, lane) in lanes.by_ref().take(channels).enumerate() {
+                        plane(output, channel, *size).copy_from_slice(lane);
                     }
                 }
             }
-            Work::Dequantize { quantization, output } => {
-                let Buffer { channels, height, width, pitch, .. } = step.reads[0];
+            Work::Dequantize {
+                quantization,
+                output,
+            } => {
+                let Buffer {
+                    channels,
+                    height,
+                    width,
+                    pitch,
+                    ..
+                } = step.reads[0];
                 for channel in 0..channels {
                     let out = plane(*output, channel, [height, width]);
-                    dequantize_row(self.read(step.reads[0].row(y)), channel, pitch, *quantization, out);
+                    dequantize_row(
+                        self.read(step.reads[0].row(y)),
+                        channel,
+                        pitch,
+                        *quantization,
+                        out,
+                    );
                 }
             }
             _ => {}

@@ -66,7 +66,10 @@ impl Barrier {
                 let mut guard = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
                 self.sleepers.fetch_add(1, SeqCst);
                 while waiting() {
-                    guard = self.wake.wait(guard).unwrap_or_else(PoisonError::into_inner);
+                    guard = self
+                        .wake
+                        .wait(guard)
+                        .unwrap_or_else(PoisonError::into_inner);
                 }
                 self.sleepers.fetch_sub(1, SeqCst);
             }
@@ -132,12 +135,19 @@ impl Team {
                 lock: Mutex::new(()),
                 wake: Condvar::new(),
             };
-            let meeting = Arc::new(Meeting { barrier, job: Mutex::new(Assignment::Leave) });
+            let meeting = Arc::new(Meeting {
+                barrier,
+                job: Mutex::new(Assignment::Leave),
+            });
             let worker = |number| {
                 let meeting = meeting.clone();
-                std::thread::Builder::new().name(format!("gedepth {number}")).spawn(move || work(&meeting, number))
+                std::thread::Builder::new()
+                    .name(format!("gedepth {number}"))
+                    .spawn(move || work(&meeting, number))
             };
-            let workers: Vec<_> = (1..members).map_while(|number| worker(number).ok()).collect();
+            let workers: Vec<_> = (1..members)
+                .map_while(|number| worker(number).ok())
+                .collect();
             Self { meeting, workers }
         };
         let team = spawn(members.max(1));
@@ -154,7 +164,11 @@ impl Team {
     #[must_use]
     pub(crate) fn run(&mut self, job: &Job<'_>) -> bool {
         let barrier = &self.meeting.barrier;
-        let member = Member { number: 0, members: self.workers.len() + 1, barrier };
+        let member = Member {
+            number: 0,
+            members: self.workers.len() + 1,
+            barrier,
+        };
         if self.workers.is_empty() {
             job(&member);
             return true;
@@ -162,7 +176,11 @@ impl Team {
         // SAFETY: only the lifetime changes. No worker touches the job after the last barrier below, or after it found
         // the barrier broken and said so by ending, and this function returns only then.
         let endless = unsafe { std::mem::transmute::<&Job<'_>, &'static Job<'static>>(job) };
-        *self.meeting.job.lock().unwrap_or_else(PoisonError::into_inner) = Assignment::Work(endless);
+        *self
+            .meeting
+            .job
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = Assignment::Work(endless);
         let whole = barrier.wait()
             && catch_unwind(AssertUnwindSafe(|| job(&member))).is_ok()
             && barrier.wait();
@@ -184,14 +202,22 @@ impl Team {
 
 impl Drop for Team {
     fn drop(&mut self) {
-        *self.meeting.job.lock().unwrap_or_else(PoisonError::into_inner) = Assignment::Leave;
+        *self
+            .meeting
+            .job
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = Assignment::Leave;
         self.dissolve();
     }
 }
 
 fn work(meeting: &Meeting, number: usize) {
     let barrier = &meeting.barrier;
-    let member = Member { number, members: barrier.members, barrier };
+    let member = Member {
+        number,
+        members: barrier.members,
+        barrier,
+    };
     while barrier.wait() {
         let assignment = *meeting.job.lock().unwrap_or_else(PoisonError::into_inner);
         let Assignment::Work(job) = assignment else {

@@ -32,7 +32,10 @@ impl Limits {
     fn pack(&self, results: __m256i) -> __m128i {
         let words = _mm256_adds_epi16(results, self.zero);
         let bytes = _mm256_permute4x64_epi64::<0b1000>(_mm256_packus_epi16(words, words));
-        _mm_min_epu8(_mm_max_epu8(_mm256_castsi256_si128(bytes), self.low), self.high)
+        _mm_min_epu8(
+            _mm_max_epu8(_mm256_castsi256_si128(bytes), self.low),
+            self.high,
+        )
     }
 }
 
@@ -60,7 +63,10 @@ unsafe fn sums<const COUNT: usize>(
     // SAFETY: there is a start for every lane of every block.
     let starts = unsafe {
         let at = dense.starts.as_ptr().add(lane);
-        [_mm256_loadu_si256(at.cast()), _mm256_loadu_si256(at.add(8).cast())]
+        [
+            _mm256_loadu_si256(at.cast()),
+            _mm256_loadu_si256(at.add(8).cast()),
+        ]
     };
     let mut sums = [starts; COUNT];
     let even = _mm256_set1_epi16(0xff);
@@ -69,7 +75,8 @@ unsafe fn sums<const COUNT: usize>(
         let mut input = unsafe { row.input.as_ptr().add(row.base + offset + pixel * row.step) };
         for _ in 0..dense.run / 4 {
             // SAFETY: a group has `runs * run / 4` times `group` vectors of 64 weights.
-            let halves = unsafe { [weights, weights.add(32)].map(|at| _mm256_loadu_si256(at.cast())) };
+            let halves =
+                unsafe { [weights, weights.add(32)].map(|at| _mm256_loadu_si256(at.cast())) };
             let evens = halves.map(|w| _mm256_srai_epi16::<8>(_mm256_slli_epi16::<8>(w)));
             let odds = halves.map(|w| _mm256_srai_epi16::<8>(w));
             for (number, sums) in sums.iter_mut().enumerate() {
@@ -78,8 +85,10 @@ unsafe fn sums<const COUNT: usize>(
                 let quad = _mm256_set1_epi32(quad);
                 let (e, o) = (_mm256_and_si256(quad, even), _mm256_srli_epi16::<8>(quad));
                 for half in 0..2 {
-                    let products =
-                        _mm256_add_epi32(_mm256_madd_epi16(e, evens[half]), _mm256_madd_epi16(o, odds[half]));
+                    let products = _mm256_add_epi32(
+                        _mm256_madd_epi16(e, evens[half]),
+                        _mm256_madd_epi16(o, odds[half]),
+                    );
                     sums[half] = _mm256_add_epi32(sums[half], products);
                 }
             }
@@ -126,7 +135,13 @@ unsafe fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, usize
 /// # Safety
 /// The processor has AVX2.
 #[target_feature(enable = "avx2")]
-pub(super) unsafe fn dense_bytes(packed: &Dense, row: &Row<'_>, to: &ToBytes, out: &mut [u8], pitch: usize) {
+pub(super) unsafe fn dense_bytes(
+    packed: &Dense,
+    row: &Row<'_>,
+    to: &ToBytes,
+    out: &mut [u8],
+    pitch: usize,
+) {
     let limits = Limits::new(to);
     let out = out.as_mut_ptr();
     let store = |pixel: usize, lane: usize, sums: [__m256i; 2]| {
@@ -147,15 +162,20 @@ pub(super) unsafe fn dense_bytes(packed: &Dense, row: &Row<'_>, to: &ToBytes, ou
 /// As [`dense_bytes`].
 #[target_feature(enable = "avx2")]
 pub(super) unsafe fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
-    let out = out.as_mut_ptr();
     let store = |pixel: usize, lane: usize, sums: [__m256i; 2]| {
         for (half, sums) in sums.into_iter().enumerate() {
             let lane = lane + half * 8;
-            // SAFETY: as in `dense_bytes`.
+            let mut values = [0.0; 8];
+            // SAFETY: there is a factor for every lane.
             unsafe {
                 let factors = _mm256_loadu_ps(packed.factors.as_ptr().add(lane));
-                let at = out.add(pixel * packed.lanes() + lane);
-                _mm256_storeu_ps(at, _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors));
+                _mm256_storeu_ps(
+                    values.as_mut_ptr(),
+                    _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors),
+                );
+            }
+            for (number, value) in values.into_iter().enumerate() {
+                out[(lane + number) * row.pixels + pixel] = value;
             }
         }
     };
@@ -167,7 +187,10 @@ pub(super) unsafe fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]
 #[target_feature(enable = "avx2")]
 #[inline]
 fn pairs(one: __m256i, other: __m256i) -> [__m256i; 2] {
-    [_mm256_unpacklo_epi16(one, other), _mm256_unpackhi_epi16(one, other)]
+    [
+        _mm256_unpacklo_epi16(one, other),
+        _mm256_unpackhi_epi16(one, other),
+    ]
 }
 
 /// # Safety
@@ -180,9 +203,15 @@ pub(super) unsafe fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, 
         // SAFETY: there are a start and a factor for every channel of the pitch.
         let (starts, factors) = unsafe {
             let starts = packed.starts.as_ptr().add(channel);
-            let starts = [_mm256_loadu_si256(starts.cast()), _mm256_loadu_si256(starts.add(8).cast())];
+            let starts = [
+                _mm256_loadu_si256(starts.cast()),
+                _mm256_loadu_si256(starts.add(8).cast()),
+            ];
             let factors = packed.factors.as_ptr().add(channel);
-            (starts, [_mm256_loadu_ps(factors), _mm256_loadu_ps(factors.add(8))])
+            (
+                starts,
+                [_mm256_loadu_ps(factors), _mm256_loadu_ps(factors.add(8))],
+            )
         };
         let starts = [
             _mm256_permute2x128_si256::<0x20>(starts[0], starts[1]),
@@ -198,7 +227,10 @@ pub(super) unsafe fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, 
                 let zero = _mm256_setzero_si256();
                 // SAFETY: `Depthwise::new` packed a pitch of weights for each tap.
                 let weight = |tap: usize| unsafe {
-                    let at = packed.weights.as_ptr().add((2 * number + tap) * pitch + channel);
+                    let at = packed
+                        .weights
+                        .as_ptr()
+                        .add((2 * number + tap) * pitch + channel);
                     _mm256_cvtepi8_epi16(_mm_loadu_si128(at.cast()))
                 };
                 let weights = pairs(weight(0), if taps.len() > 1 { weight(1) } else { zero });
@@ -207,17 +239,24 @@ pub(super) unsafe fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, 
                     let pixel = (first + pixel).min(row.pixels - 1);
                     // SAFETY: sixteen channels of a tap of a pixel of the row.
                     let input = |tap: usize| unsafe {
-                        let at = row.input.as_ptr().add(row.base + tap + pixel * row.step + channel);
+                        let at = row
+                            .input
+                            .as_ptr()
+                            .add(row.base + tap + pixel * row.step + channel);
                         _mm256_cvtepu8_epi16(_mm_loadu_si128(at.cast()))
                     };
                     let bytes = pairs(input(taps[0]), taps.get(1).map_or(zero, |&tap| input(tap)));
                     for half in 0..2 {
-                        sums[half] = _mm256_add_epi32(sums[half], _mm256_madd_epi16(bytes[half], weights[half]));
+                        sums[half] = _mm256_add_epi32(
+                            sums[half],
+                            _mm256_madd_epi16(bytes[half], weights[half]),
+                        );
                     }
                 }
             }
             for (pixel, sums) in sums.into_iter().enumerate().take(row.pixels - first) {
-                let results = _mm256_packs_epi32(scaled(sums[0], factors[0]), scaled(sums[1], factors[1]));
+                let results =
+                    _mm256_packs_epi32(scaled(sums[0], factors[0]), scaled(sums[1], factors[1]));
                 // SAFETY: sixteen bytes of a pixel that `out` has room for.
                 unsafe {
                     let out = out.as_mut_ptr().add((first + pixel) * pitch + channel);
@@ -233,17 +272,22 @@ pub(super) unsafe fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, 
 #[target_feature(enable = "avx2")]
 pub(super) unsafe fn add(addition: &Addition, one: &[u8], other: &[u8], out: &mut [u8]) {
     let limits = Limits::new(&addition.to);
-    let zeros = addition.zeros.map(|zero| _mm256_set1_epi32(i32::from(zero)));
+    let zeros = addition
+        .zeros
+        .map(|zero| _mm256_set1_epi32(i32::from(zero)));
     let factors = addition.factors.map(|factor| _mm256_set1_ps(factor));
     let whole = out.len() / 16 * 16;
     for at in (0..whole).step_by(16) {
         let part = |input: usize, bytes: &[u8], half: usize| {
             // SAFETY: eight of the sixteen bytes from `at` on.
             let bytes = unsafe { _mm_loadl_epi64(bytes.as_ptr().add(at + 8 * half).cast()) };
-            let value = _mm256_cvtepi32_ps(_mm256_sub_epi32(_mm256_cvtepu8_epi32(bytes), zeros[input]));
+            let value =
+                _mm256_cvtepi32_ps(_mm256_sub_epi32(_mm256_cvtepu8_epi32(bytes), zeros[input]));
             _mm256_mul_ps(value, factors[input])
         };
-        let sum = |half: usize| _mm256_cvtps_epi32(_mm256_add_ps(part(0, one, half), part(1, other, half)));
+        let sum = |half: usize| {
+            _mm256_cvtps_epi32(_mm256_add_ps(part(0, one, half), part(1, other, half)))
+        };
         let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(sum(0), sum(1)));
         // SAFETY: sixteen bytes from `at` on.
         unsafe { _mm_storeu_si128(out.as_mut_ptr().add(at).cast(), limits.pack(results)) };

@@ -74,14 +74,21 @@ impl Tile<'_> {
         let mut sums = [[_mm512_setzero_si512(); PIXELS]; BLOCKS];
         for (block, sums) in sums.iter_mut().enumerate() {
             // SAFETY: there is a start for every lane of every block.
-            let start = unsafe { _mm512_loadu_si512(starts.as_ptr().add(self.lane + block * BLOCK).cast()) };
+            let start = unsafe {
+                _mm512_loadu_si512(starts.as_ptr().add(self.lane + block * BLOCK).cast())
+            };
             *sums = [start; PIXELS];
         }
         let mut weights = self.weights;
         let step = self.row.step;
         for offset in self.row.runs {
             // SAFETY: the first byte of the run of the tile's first pixel is in the row's input.
-            let mut input = unsafe { self.row.input.as_ptr().add(self.row.base + offset + self.pixel * step) };
+            let mut input = unsafe {
+                self.row
+                    .input
+                    .as_ptr()
+                    .add(self.row.base + offset + self.pixel * step)
+            };
             for _ in 0..run / 4 {
                 let mut w = [_mm512_setzero_si512(); BLOCKS];
                 for (block, w) in w.iter_mut().enumerate() {
@@ -93,7 +100,8 @@ impl Tile<'_> {
                     let quad = unsafe { input.add(pixel * step).cast::<i32>().read_unaligned() };
                     let quad = _mm512_set1_epi32(quad);
                     for block in 0..BLOCKS {
-                        sums[block][pixel] = _mm512_dpbusd_epi32(sums[block][pixel], quad, w[block]);
+                        sums[block][pixel] =
+                            _mm512_dpbusd_epi32(sums[block][pixel], quad, w[block]);
                     }
                 }
                 // SAFETY: at most to the end of the run, and of the group's weights.
@@ -109,7 +117,12 @@ impl Tile<'_> {
     /// As [`Tile::sums`]; `out` has room for the row.
     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
     #[inline]
-    unsafe fn bytes<const BLOCKS: usize, const PIXELS: usize>(&self, limits: Limits, out: *mut u8, pitch: usize) {
+    unsafe fn bytes<const BLOCKS: usize, const PIXELS: usize>(
+        &self,
+        limits: Limits,
+        out: *mut u8,
+        pitch: usize,
+    ) {
         // SAFETY: as this function's.
         let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
         // From lanes of four channels of four pixels to lanes of sixteen channels of a pixel.
@@ -122,35 +135,70 @@ impl Tile<'_> {
                 let out = out.add(self.pixel * pitch + lane);
                 for first in (0..PIXELS).step_by(4) {
                     let of = |pixel: usize| scaled(sums[(first + pixel).min(PIXELS - 1)], factors);
-                    let bytes = _mm512_permutexvar_epi32(by_pixel, limits.pack([of(0), of(1), of(2), of(3)]));
+                    let bytes = _mm512_permutexvar_epi32(
+                        by_pixel,
+                        limits.pack([of(0), of(1), of(2), of(3)]),
+                    );
                     _mm_storeu_si128(out.add(first * pitch).cast(), _mm512_castsi512_si128(bytes));
                     if PIXELS > 1 {
-                        _mm_storeu_si128(out.add((first + 1) * pitch).cast(), _mm512_extracti32x4_epi32::<1>(bytes));
-                        _mm_storeu_si128(out.add((first + 2) * pitch).cast(), _mm512_extracti32x4_epi32::<2>(bytes));
-                        _mm_storeu_si128(out.add((first + 3) * pitch).cast(), _mm512_extracti32x4_epi32::<3>(bytes));
+                        _mm_storeu_si128(
+                            out.add((first + 1) * pitch).cast(),
+                            _mm512_extracti32x4_epi32::<1>(bytes),
+                        );
+                        _mm_storeu_si128(
+                            out.add((first + 2) * pitch).cast(),
+                            _mm512_extracti32x4_epi32::<2>(bytes),
+                        );
+                        _mm_storeu_si128(
+                            out.add((first + 3) * pitch).cast(),
+                            _mm512_extracti32x4_epi32::<3>(bytes),
+                        );
                     }
                 }
             }
         }
     }
 
-    /// Writes a tile as f32.
+    /// Writes a tile as f32, lane by lane.
     ///
     /// # Safety
     /// As [`Tile::sums`]; `out` has room for the row.
-    #[target_feature(enable = "avx512f,avx512vnni")]
+    #[target_feature(enable = "avx512f,avx512vl,avx512vnni")]
     #[inline]
     unsafe fn floats<const BLOCKS: usize, const PIXELS: usize>(&self, out: *mut f32) {
         // SAFETY: as this function's.
         let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
+        let pixels = self.row.pixels;
         for (block, sums) in sums.iter().enumerate() {
             let lane = self.lane + block * BLOCK;
-            // SAFETY: there is a factor for every lane; the pixels' lanes are in `out`.
+            // SAFETY: there is a factor for every lane; each lane's pixels are in `out`.
             unsafe {
                 let factors = _mm512_loadu_ps(self.dense.factors.as_ptr().add(lane));
-                for (pixel, &sums) in sums.iter().enumerate() {
-                    let out = out.add((self.pixel + pixel) * self.dense.lanes() + lane);
-                    _mm512_storeu_ps(out, _mm512_mul_ps(_mm512_cvtepi32_ps(sums), factors));
+                let out = out.add(lane * pixels + self.pixel);
+                let of = |pixel: usize| {
+                    _mm512_mul_ps(_mm512_cvtepi32_ps(sums[pixel.min(PIXELS - 1)]), factors)
+                };
+                for first in (0..PIXELS).step_by(4) {
+                    // From sixteen lanes of four pixels to four pixels of sixteen lanes: 128-bit lane `l` of `four[k]`
+                    // is lane `4 l + k`.
+                    let (a, b) = (of(first), of(first + 1));
+                    let (c, d) = (of(first + 2), of(first + 3));
+                    let (ab, ab2) = (_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+                    let (cd, cd2) = (_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
+                    let four = [
+                        _mm512_shuffle_ps::<0b01_00_01_00>(ab, cd),
+                        _mm512_shuffle_ps::<0b11_10_11_10>(ab, cd),
+                        _mm512_shuffle_ps::<0b01_00_01_00>(ab2, cd2),
+                        _mm512_shuffle_ps::<0b11_10_11_10>(ab2, cd2),
+                    ];
+                    let mask = if PIXELS > 1 { 0b1111 } else { 1 };
+                    for (k, lanes) in four.into_iter().enumerate() {
+                        let at = |l: usize| out.add((4 * l + k) * pixels + first);
+                        _mm_mask_storeu_ps(at(0), mask, _mm512_castps512_ps128(lanes));
+                        _mm_mask_storeu_ps(at(1), mask, _mm512_extractf32x4_ps::<1>(lanes));
+                        _mm_mask_storeu_ps(at(2), mask, _mm512_extractf32x4_ps::<2>(lanes));
+                        _mm_mask_storeu_ps(at(3), mask, _mm512_extractf32x4_ps::<3>(lanes));
+                    }
                 }
             }
         }
@@ -205,7 +253,13 @@ macro_rules! channels {
 /// # Safety
 /// The processor has AVX-512 F, BW, VL and VNNI.
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
-pub(super) unsafe fn dense_bytes(dense: &Dense, row: &Row<'_>, to: &ToBytes, out: &mut [u8], pitch: usize) {
+pub(super) unsafe fn dense_bytes(
+    dense: &Dense,
+    row: &Row<'_>,
+    to: &ToBytes,
+    out: &mut [u8],
+    pitch: usize,
+) {
     let limits = Limits::new(to);
     let out = out.as_mut_ptr();
     channels!(dense, row, bytes(limits, out, pitch));
@@ -234,25 +288,37 @@ pub(super) struct Interleaved {
 
 impl Interleaved {
     pub(super) fn new(depthwise: &Depthwise) -> Self {
-        let Depthwise { pitch, rows, columns, .. } = *depthwise;
+        let Depthwise {
+            pitch,
+            rows,
+            columns,
+            ..
+        } = *depthwise;
         let mut packed = Self::default();
         let order = |lane: usize| (lane / 16 * 4) + (lane % 16 / 4 * 16) + lane % 4;
         for first in (0..pitch).step_by(WIDE) {
-            let channels = (0..WIDE).map(|lane| Some(first + order(lane)).filter(|&channel| channel < pitch));
+            let channels =
+                (0..WIDE).map(|lane| Some(first + order(lane)).filter(|&channel| channel < pitch));
             for top in (0..rows).step_by(TALL) {
                 for column in 0..columns {
                     for channel in channels.clone() {
                         for row in top..top + TALL {
                             let weight = channel.filter(|_| row < rows);
-                            packed.weights.push(
-                                weight.map_or(0, |c| depthwise.weights[(row * columns + column) * pitch + c]),
-                            );
+                            packed.weights.push(weight.map_or(0, |c| {
+                                depthwise.weights[(row * columns + column) * pitch + c]
+                            }));
                         }
                     }
                 }
             }
-            packed.starts.extend(channels.clone().map(|c| c.map_or(0, |c| depthwise.starts[c])));
-            packed.factors.extend(channels.map(|c| c.map_or(0.0, |c| depthwise.factors[c])));
+            packed.starts.extend(
+                channels
+                    .clone()
+                    .map(|c| c.map_or(0, |c| depthwise.starts[c])),
+            );
+            packed
+                .factors
+                .extend(channels.map(|c| c.map_or(0.0, |c| depthwise.factors[c])));
         }
         packed
     }
@@ -285,8 +351,14 @@ impl Strip<'_> {
             // SAFETY: as this function's; bytes that are masked out are not touched.
             *bytes = unsafe { _mm512_maskz_loadu_epi8(self.mask, row.cast()) };
         }
-        let (low, high) = (_mm512_unpacklo_epi8(bytes[0], bytes[1]), _mm512_unpackhi_epi8(bytes[0], bytes[1]));
-        let (low2, high2) = (_mm512_unpacklo_epi8(bytes[2], bytes[3]), _mm512_unpackhi_epi8(bytes[2], bytes[3]));
+        let (low, high) = (
+            _mm512_unpacklo_epi8(bytes[0], bytes[1]),
+            _mm512_unpackhi_epi8(bytes[0], bytes[1]),
+        );
+        let (low2, high2) = (
+            _mm512_unpacklo_epi8(bytes[2], bytes[3]),
+            _mm512_unpackhi_epi8(bytes[2], bytes[3]),
+        );
         [
             _mm512_unpacklo_epi16(low, low2),
             _mm512_unpackhi_epi16(low, low2),
@@ -302,13 +374,25 @@ impl Strip<'_> {
     /// `pixel` on, and `out` has room for them.
     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
     #[inline]
-    unsafe fn run<const ROWS: usize, const COLUMNS: usize, const STRIDE: usize, const PIXELS: usize>(&self) {
-        let Depthwise { pitch, interleaved, .. } = self.depthwise;
+    unsafe fn run<
+        const ROWS: usize,
+        const COLUMNS: usize,
+        const STRIDE: usize,
+        const PIXELS: usize,
+    >(
+        &self,
+    ) {
+        let Depthwise {
+            pitch, interleaved, ..
+        } = self.depthwise;
         let block = self.channel / WIDE;
         // SAFETY: `Interleaved::new` packed as many for every 64 channels.
         let (weights, starts, factors) = unsafe {
             (
-                interleaved.weights.as_ptr().add(block * ROWS.div_ceil(TALL) * COLUMNS * TALL * WIDE),
+                interleaved
+                    .weights
+                    .as_ptr()
+                    .add(block * ROWS.div_ceil(TALL) * COLUMNS * TALL * WIDE),
                 interleaved.starts.as_ptr().add(self.channel),
                 interleaved.factors.as_ptr().add(self.channel),
             )
@@ -329,11 +413,16 @@ impl Strip<'_> {
                 // input; rows of taps that do not exist are not read.
                 let bytes = unsafe {
                     let at = self.row.input.as_ptr().add(start + column * pitch);
-                    let row = |number: usize| at.add(self.row.runs[(top + number).min(ROWS - 1) * COLUMNS]);
+                    let row = |number: usize| {
+                        at.add(self.row.runs[(top + number).min(ROWS - 1) * COLUMNS])
+                    };
                     self.column([row(0), row(1), row(2), row(3)], count)
                 };
                 for (pixel, sums) in sums.iter_mut().enumerate() {
-                    let Some(tap) = column.checked_sub(pixel * STRIDE).filter(|&tap| tap < COLUMNS) else {
+                    let Some(tap) = column
+                        .checked_sub(pixel * STRIDE)
+                        .filter(|&tap| tap < COLUMNS)
+                    else {
                         continue;
                     };
                     for j in 0..4 {
@@ -387,7 +476,12 @@ impl Strip<'_> {
 /// As [`dense_bytes`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 pub(super) unsafe fn depthwise(depthwise: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
-    let Depthwise { pitch, rows, columns, .. } = *depthwise;
+    let Depthwise {
+        pitch,
+        rows,
+        columns,
+        ..
+    } = *depthwise;
     // Without dilation neighbouring taps are neighbouring pixels.
     let close = columns == 1 || row.runs[1] - row.runs[0] == pitch;
     let stride = row.step / pitch;
@@ -424,7 +518,9 @@ pub(super) unsafe fn depthwise(depthwise: &Depthwise, row: &Row<'_>, to: &ToByte
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 pub(super) unsafe fn add(addition: &Addition, one: &[u8], other: &[u8], out: &mut [u8]) {
     let limits = Limits::new(&addition.to);
-    let zeros = addition.zeros.map(|zero| _mm512_set1_epi32(i32::from(zero)));
+    let zeros = addition
+        .zeros
+        .map(|zero| _mm512_set1_epi32(i32::from(zero)));
     let factors = addition.factors.map(|factor| _mm512_set1_ps(factor));
     // After packing, register j holds the bytes 4 j to 4 j + 3 of each 16.
     let order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
@@ -433,7 +529,8 @@ pub(super) unsafe fn add(addition: &Addition, one: &[u8], other: &[u8], out: &mu
         let part = |input: usize, bytes: &[u8], quarter: usize| {
             // SAFETY: 16 of the 64 bytes from `at` on.
             let bytes = unsafe { _mm_loadu_si128(bytes.as_ptr().add(at + 16 * quarter).cast()) };
-            let value = _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_cvtepu8_epi32(bytes), zeros[input]));
+            let value =
+                _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_cvtepu8_epi32(bytes), zeros[input]));
             _mm512_mul_ps(value, factors[input])
         };
         let sum = |quarter: usize| {
@@ -453,7 +550,10 @@ pub(super) unsafe fn add(addition: &Addition, one: &[u8], other: &[u8], out: &mu
 pub(super) unsafe fn quantize_four(planes: &[&[f32]], scale: f32, zero: u8, out: &mut [u8]) {
     let divisor = _mm512_set1_ps(scale);
     // Before the zero point is added; the comparisons also send NaN to the lower bound.
-    let (low, high) = (_mm512_set1_ps(-f32::from(zero)), _mm512_set1_ps(255.0 - f32::from(zero)));
+    let (low, high) = (
+        _mm512_set1_ps(-f32::from(zero)),
+        _mm512_set1_ps(255.0 - f32::from(zero)),
+    );
     let zeros = _mm512_set1_epi32(i32::from(zero));
     let whole = out.len() / 64 * 64;
     for at in (0..whole).step_by(64) {

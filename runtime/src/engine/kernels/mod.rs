@@ -21,7 +21,8 @@ mod avx512vnni;
 mod portable;
 
 pub(crate) use portable::{
-    Halves, average_row, concat_row, dequantize_row, max_row, multiply_row, quantize_row, resize_row, table_row,
+    Halves, average_row, concat_row, copy_row, dequantize_row, max_row, multiply_row, quantize_row,
+    resize_row, table_row,
 };
 
 /// Lanes of a block of output channels.
@@ -46,7 +47,11 @@ impl Kernel {
 
     /// The fastest that this processor has.
     pub fn best() -> Self {
-        Self::ALL.into_iter().rev().find(|kernel| kernel.is_supported()).unwrap_or(Kernel::Portable)
+        Self::ALL
+            .into_iter()
+            .rev()
+            .find(|kernel| kernel.is_supported())
+            .unwrap_or(Kernel::Portable)
     }
 
     /// Whether this processor has it.
@@ -58,9 +63,9 @@ impl Kernel {
             #[cfg(target_arch = "x86_64")]
             Kernel::Avx512Vnni => {
                 std::arch::is_x86_feature_detected!("avx512f")
-                && std::arch::is_x86_feature_detected!("avx512bw")
-                && std::arch::is_x86_feature_detected!("avx512vl")
-                && std::arch::is_x86_feature_detected!("avx512vnni")
+                    && std::arch::is_x86_feature_detected!("avx512bw")
+                    && std::arch::is_x86_feature_detected!("avx512vl")
+                    && std::arch::is_x86_feature_detected!("avx512vnni")
             }
             #[cfg(not(target_arch = "x86_64"))]
             _ => false,
@@ -109,7 +114,11 @@ impl Dense {
                 for quad in (0..run).step_by(4) {
                     for output in first * BLOCK..(first + group) * BLOCK {
                         for byte in quad..quad + 4 {
-                            weights.push(if output < outputs { weight(output, number, byte) } else { 0 });
+                            weights.push(if output < outputs {
+                                weight(output, number, byte)
+                            } else {
+                                0
+                            });
                         }
                     }
                 }
@@ -121,7 +130,14 @@ impl Dense {
         starts.extend(std::iter::repeat_n(0, padded(blocks * BLOCK)));
         let mut factors = factors.to_vec();
         factors.extend(std::iter::repeat_n(0.0, padded(blocks * BLOCK)));
-        Self { blocks, runs, run, weights, starts, factors }
+        Self {
+            blocks,
+            runs,
+            run,
+            weights,
+            starts,
+            factors,
+        }
     }
 
     /// Output channels, padded to whole blocks.
@@ -130,7 +146,9 @@ impl Dense {
     }
 
     fn check(&self, row: &Row<'_>) {
-        let last = row.runs.iter().max().map_or(0, |run| row.base + run) + (row.pixels.max(1) - 1) * row.step + self.run;
+        let last = row.runs.iter().max().map_or(0, |run| row.base + run)
+            + (row.pixels.max(1) - 1) * row.step
+            + self.run;
         assert!(row.runs.len() == self.runs && last <= row.input.len());
     }
 }
@@ -212,8 +230,9 @@ impl Depthwise {
     }
 
     fn check(&self, row: &Row<'_>, out: &[u8]) {
-        let last =
-            row.runs.iter().max().map_or(0, |run| row.base + run) + (row.pixels.max(1) - 1) * row.step + self.pitch;
+        let last = row.runs.iter().max().map_or(0, |run| row.base + run)
+            + (row.pixels.max(1) - 1) * row.step
+            + self.pitch;
         assert!(row.runs.len() == self.rows * self.columns && last <= row.input.len());
         assert!(row.pixels * self.pitch <= out.len());
     }
@@ -252,13 +271,20 @@ macro_rules! dispatch {
 
 impl Kernel {
     /// A row of a dense convolution as bytes, pixels `pitch` apart.
-    pub(crate) fn dense_bytes(self, dense: &Dense, row: &Row<'_>, to: &ToBytes, out: &mut [u8], pitch: usize) {
+    pub(crate) fn dense_bytes(
+        self,
+        dense: &Dense,
+        row: &Row<'_>,
+        to: &ToBytes,
+        out: &mut [u8],
+        pitch: usize,
+    ) {
         dense.check(row);
         assert!(row.pixels * pitch <= out.len() && dense.lanes() <= pitch);
         dispatch!(self, dense_bytes(dense, row, to, out, pitch));
     }
 
-    /// A row of a dense convolution as f32, `[pixels][lanes]`.
+    /// A row of a dense convolution as f32, `[lanes][pixels]`.
     pub(crate) fn dense_floats(self, dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
         dense.check(row);
         assert!(row.pixels * dense.lanes() <= out.len());
@@ -266,7 +292,13 @@ impl Kernel {
     }
 
     /// A row of a depthwise convolution.
-    pub(crate) fn depthwise(self, depthwise: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
+    pub(crate) fn depthwise(
+        self,
+        depthwise: &Depthwise,
+        row: &Row<'_>,
+        to: &ToBytes,
+        out: &mut [u8],
+    ) {
         depthwise.check(row, out);
         dispatch!(self, depthwise(depthwise, row, to, out));
     }

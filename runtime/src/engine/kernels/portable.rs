@@ -6,7 +6,14 @@ use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, groups};
 use crate::engine::layer::{Between, Quantization, saturate};
 
 /// Accumulators of one block of one pixel.
-fn accumulate(dense: &Dense, row: &Row<'_>, pixel: usize, starts: &[i32], weights: &[i8], group: usize) -> [i32; BLOCK] {
+fn accumulate(
+    dense: &Dense,
+    row: &Row<'_>,
+    pixel: usize,
+    starts: &[i32],
+    weights: &[i8],
+    group: usize,
+) -> [i32; BLOCK] {
     let mut sums = [0; BLOCK];
     sums.copy_from_slice(starts);
     let mut quads = weights.chunks_exact(4 * BLOCK).step_by(group);
@@ -31,8 +38,14 @@ fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, Range<usize>
         for block in 0..group {
             let lanes = (first + block) * BLOCK..(first + block + 1) * BLOCK;
             for pixel in 0..row.pixels {
-                let sums =
-                    accumulate(dense, row, pixel, &dense.starts[lanes.clone()], &weights[block * 4 * BLOCK..], group);
+                let sums = accumulate(
+                    dense,
+                    row,
+                    pixel,
+                    &dense.starts[lanes.clone()],
+                    &weights[block * 4 * BLOCK..],
+                    group,
+                );
                 store(pixel, lanes.clone(), &sums);
             }
         }
@@ -41,7 +54,13 @@ fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, Range<usize>
     }
 }
 
-pub(super) fn dense_bytes(packed: &Dense, row: &Row<'_>, to: &ToBytes, out: &mut [u8], pitch: usize) {
+pub(super) fn dense_bytes(
+    packed: &Dense,
+    row: &Row<'_>,
+    to: &ToBytes,
+    out: &mut [u8],
+    pitch: usize,
+) {
     dense(packed, row, |pixel, lanes, sums| {
         let out = &mut out[pixel * pitch..][lanes.clone()];
         for ((out, &sum), factor) in out.iter_mut().zip(sums).zip(&packed.factors[lanes]) {
@@ -52,15 +71,18 @@ pub(super) fn dense_bytes(packed: &Dense, row: &Row<'_>, to: &ToBytes, out: &mut
 
 pub(super) fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
     dense(packed, row, |pixel, lanes, sums| {
-        let out = &mut out[pixel * packed.lanes()..][lanes.clone()];
-        for ((out, &sum), factor) in out.iter_mut().zip(sums).zip(&packed.factors[lanes]) {
-            *out = sum as f32 * factor;
+        for ((lane, &sum), factor) in lanes.clone().zip(sums).zip(&packed.factors[lanes]) {
+            out[lane * row.pixels + pixel] = sum as f32 * factor;
         }
     });
 }
 
 pub(super) fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
-    for (pixel, out) in out.chunks_exact_mut(packed.pitch).take(row.pixels).enumerate() {
+    for (pixel, out) in out
+        .chunks_exact_mut(packed.pitch)
+        .take(row.pixels)
+        .enumerate()
+    {
         for first in (0..packed.pitch).step_by(BLOCK) {
             let mut sums = [0; BLOCK];
             sums.copy_from_slice(&packed.starts[first..][..BLOCK]);
@@ -71,7 +93,11 @@ pub(super) fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &m
                     *sum += i32::from(byte) * i32::from(weight);
                 }
             }
-            for ((out, sum), factor) in out[first..].iter_mut().zip(sums).zip(&packed.factors[first..]) {
+            for ((out, sum), factor) in out[first..]
+                .iter_mut()
+                .zip(sums)
+                .zip(&packed.factors[first..])
+            {
                 *out = saturate(sum as f32 * factor, to.zero, &to.range);
             }
         }
@@ -83,12 +109,22 @@ pub(super) fn add(addition: &Addition, one: &[u8], other: &[u8], out: &mut [u8])
         (i32::from(byte) - i32::from(addition.zeros[input])) as f32 * addition.factors[input]
     };
     for ((out, &one), &other) in out.iter_mut().zip(one).zip(other) {
-        *out = saturate(part(one, 0) + part(other, 1), addition.to.zero, &addition.to.range);
+        *out = saturate(
+            part(one, 0) + part(other, 1),
+            addition.to.zero,
+            &addition.to.range,
+        );
     }
 }
 
 pub(super) fn quantize_four(planes: &[&[f32]], scale: f32, zero: u8, out: &mut [u8]) {
-    quantize_row(|channel| planes[channel], planes.len(), Quantization { scale, zero }, out, 4);
+    quantize_row(
+        |channel| planes[channel],
+        planes.len(),
+        Quantization { scale, zero },
+        out,
+        4,
+    );
 }
 
 /// A row of planes of f32 as pixels of any pitch.
@@ -108,7 +144,13 @@ pub(crate) fn quantize_row<'a>(
 }
 
 /// One channel of a row of pixels as f32.
-pub(crate) fn dequantize_row(input: &[u8], channel: usize, pitch: usize, quantization: Quantization, out: &mut [f32]) {
+pub(crate) fn dequantize_row(
+    input: &[u8],
+    channel: usize,
+    pitch: usize,
+    quantization: Quantization,
+    out: &mut [f32],
+) {
     for (out, pixel) in out.iter_mut().zip(input.chunks_exact(pitch)) {
         *out = quantization.real(pixel[channel]);
     }
@@ -122,9 +164,17 @@ pub(crate) fn table_row(table: &[u8; 256], input: &[u8], out: &mut [u8]) {
 }
 
 /// The product of two rows.
-pub(crate) fn multiply_row(zeros: [u8; 2], factor: f32, to: &ToBytes, one: &[u8], other: &[u8], out: &mut [u8]) {
+pub(crate) fn multiply_row(
+    zeros: [u8; 2],
+    factor: f32,
+    to: &ToBytes,
+    one: &[u8],
+    other: &[u8],
+    out: &mut [u8],
+) {
     for ((out, &one), &other) in out.iter_mut().zip(one).zip(other) {
-        let product = (i32::from(one) - i32::from(zeros[0])) * (i32::from(other) - i32::from(zeros[1]));
+        let product =
+            (i32::from(one) - i32::from(zeros[0])) * (i32::from(other) - i32::from(zeros[1]));
         *out = saturate(product as f32 * factor, to.zero, &to.range);
     }
 }
@@ -138,7 +188,10 @@ pub(crate) fn concat_row(
     first: usize,
     out: &mut [u8],
 ) {
-    for (pixel, out) in input.chunks_exact(pitches[0]).zip(out.chunks_exact_mut(pitches[1])) {
+    for (pixel, out) in input
+        .chunks_exact(pitches[0])
+        .zip(out.chunks_exact_mut(pitches[1]))
+    {
         table_row(table, &pixel[..channels], &mut out[first..][..channels]);
     }
 }
@@ -148,6 +201,18 @@ pub(crate) fn concat_row(
 pub(crate) struct Halves<'a> {
     pub(crate) rows: [&'a [u8]; 2],
     pub(crate) weight: f32,
+}
+
+/// A row of a resize to nearest pixels of a multiple of 16 bytes.
+pub(crate) fn copy_row(input: &[u8], columns: &[Between], pitch: usize, out: &mut [u8]) {
+    for (column, out) in columns.iter().zip(out.chunks_exact_mut(pitch)) {
+        // Sixteen at a time: a length that the compiler knows is a load and a store instead of a call.
+        let (input, _) = input[column.first * pitch..][..pitch].as_chunks::<16>();
+        let (out, _) = out.as_chunks_mut::<16>();
+        for (out, input) in out.iter_mut().zip(input) {
+            *out = *input;
+        }
+    }
 }
 
 /// A row of a bilinear resize.
@@ -167,7 +232,9 @@ pub(crate) fn resize_row(
             [pixel(1, column.first), pixel(1, column.second)],
         ];
         for (channel, out) in out.iter_mut().enumerate() {
-            let value = |row: usize, side: usize| (i32::from(corners[row][side][channel]) - i32::from(zero)) as f32;
+            let value = |row: usize, side: usize| {
+                (i32::from(corners[row][side][channel]) - i32::from(zero)) as f32
+            };
             let along = |row| value(row, 0) * (1.0 - column.weight) + value(row, 1) * column.weight;
             let between = along(0) * (1.0 - halves.weight) + along(1) * halves.weight;
             *out = saturate(between * factor, to.zero, &to.range);
@@ -197,7 +264,10 @@ pub(crate) fn average_row<'a>(
     out: &mut [u8],
 ) {
     for (channel, out) in out.iter_mut().enumerate() {
-        let sum: i64 = taps.clone().map(|pixel| i64::from(pixel[channel]) - i64::from(zero)).sum();
+        let sum: i64 = taps
+            .clone()
+            .map(|pixel| i64::from(pixel[channel]) - i64::from(zero))
+            .sum();
         *out = saturate(sum as f32 * factor, to.zero, &to.range);
     }
 }
