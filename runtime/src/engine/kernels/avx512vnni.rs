@@ -99,9 +99,8 @@ impl Tile<'_> {
                     // SAFETY: four bytes of a run of a pixel of the row.
                     let quad = unsafe { input.add(pixel * step).cast::<i32>().read_unaligned() };
                     let quad = _mm512_set1_epi32(quad);
-                    for block in 0..BLOCKS {
-                        sums[block][pixel] =
-                            _mm512_dpbusd_epi32(sums[block][pixel], quad, w[block]);
+                    for (sums, &w) in sums.iter_mut().zip(&w) {
+                        sums[pixel] = _mm512_dpbusd_epi32(sums[pixel], quad, w);
                     }
                 }
                 // SAFETY: at most to the end of the run, and of the group's weights.
