@@ -37,7 +37,7 @@
 //!
 //! # Memory
 //!
-//! Tables and scratch are the caller's, their lengths `const fn`s. Types are small (`KannalaBrandt` 632 bytes,
+//! Tables and scratch are the caller's, their lengths `const fn`s. Types are small (`KannalaBrandt` 312 bytes,
 //! `SlopeClasses` 264, all others, but for owned tables and binned accumulators, at most 168; `tests/footprint.rs` asserts every one). No call recurses.
 //! Optimized for x86-64, cameras, tables, the vanishing line and metrics take at most 4 KiB of stack, fusion at most 6 KiB,
 //! its callers' frames included; asserted too.
@@ -61,6 +61,9 @@ mod frame;
 mod ground;
 mod pose;
 mod scalar;
+
+/// The vectors of this interface.
+pub use glam;
 
 pub use angle::Angle;
 pub use error::Error;

@@ -38,7 +38,7 @@ fn sizes() {
         ("Intrinsics", size_of::<Intrinsics>(), 48),
         ("Pinhole", size_of::<Pinhole>(), 48),
         ("BrownConrady", size_of::<BrownConrady>(), 120),
-        ("KannalaBrandt", size_of::<KannalaBrandt>(), 632),
+        ("KannalaBrandt", size_of::<KannalaBrandt>(), 312),
         ("Extrinsics", size_of::<Extrinsics>(), 168),
         ("Mounting", size_of::<Mounting>(), 32),
         ("GroundPlane", size_of::<GroundPlane>(), 32),

@@ -9,7 +9,8 @@ use gedepth_core::table::{
     MIN_INVERSE_DEPTH, NO_GROUND, RayLut, RayView, RowLut, RowTolerance, RowView,
     depth_from_inverse, write_depth,
 };
-use gedepth_core::{Angle, Error, Ground};
+use gedepth_core::{Angle, CameraFrame, Direction, Error, Ground, Point};
+use glam::DVec2;
 use proptest::prelude::*;
 
 /// 1e-5 of the depth up to 200 m; farther, and above the line, the same in 1/m.
@@ -373,5 +374,86 @@ fn fisheye_beyond_90_degrees() -> Result<(), Error> {
     let near = f64::from(table.inverse_depth(200, 200 + 157).unwrap());
     assert!((near - 1.57_f64.tan() / 1.2).abs() < near * 1e-6);
     assert!(table.values().iter().all(|value| value.is_finite()));
+    Ok(())
+}
+
+/// A camera model from outside the crate: only what a model must have.
+struct Foreign;
+
+impl CameraModel for Foreign {
+    fn size(&self) -> ImageSize {
+        ImageSize::new(5, 3).unwrap()
+    }
+
+    fn field_of_view(&self) -> Angle {
+        Angle::from_degrees(90.0)
+    }
+
+    fn project(&self, _: Point<CameraFrame>) -> Option<Pixel> {
+        None
+    }
+
+    /// Column 0 looks ahead, column 1 down and ahead, column 2 sideways, column 3 back; column 4 sees nothing.
+    fn unproject(&self, pixel: Pixel) -> Option<Direction<CameraFrame>> {
+        let [x, y, z] = match pixel.u as u32 {
+            0 => [0.0, 0.0, 1.0],
+            1 => [1.0, 2.0, 4.0],
+            2 => [1.0, 1.0, 0.0],
+            3 => [0.0, 1.0, -1.0],
+            _ => return None,
+        };
+        Direction::new(x, y, z).ok()
+    }
+}
+
+#[test]
+fn foreign_camera_models() -> Result<(), Error> {
+    let point = Foreign.forward_ray(Pixel::new(1.0, 0.0)).unwrap();
+    assert!((point.x - 0.25).abs() < 1e-15 && (point.y - 0.5).abs() < 1e-15);
+    assert_eq!(Foreign.as_pinhole(), None);
+    let mut memory = [0.0; 15];
+    let table = GroundView::build(&mut memory, &Foreign, &ground(2.0, 0.0, 0.0))?;
+    for row in table.values().chunks_exact(5) {
+        assert_eq!(row, [0.0, 0.25, NO_GROUND, NO_GROUND, NO_GROUND]);
+    }
+    Ok(())
+}
+
+/// Whatever a foreign model returns, tables hold no NaN.
+struct Broken;
+
+impl CameraModel for Broken {
+    fn size(&self) -> ImageSize {
+        ImageSize::new(2, 1).unwrap()
+    }
+
+    fn field_of_view(&self) -> Angle {
+        Angle::from_radians(f64::NAN)
+    }
+
+    fn project(&self, _: Point<CameraFrame>) -> Option<Pixel> {
+        Some(Pixel::new(f64::NAN, f64::NAN))
+    }
+
+    fn unproject(&self, _: Pixel) -> Option<Direction<CameraFrame>> {
+        None
+    }
+
+    fn forward_ray(&self, pixel: Pixel) -> Option<DVec2> {
+        Some(DVec2::splat(if pixel.u > 0.0 {
+            f64::NAN
+        } else {
+            f64::INFINITY
+        }))
+    }
+}
+
+#[test]
+fn broken_camera_models() -> Result<(), Error> {
+    let ground = ground(2.0, 3.0, 0.0);
+    let mut memory = [0.0; 2];
+    let table = GroundView::build(&mut memory, &Broken, &ground)?;
+    assert_eq!(table.values(), [NO_GROUND, NO_GROUND]);
+    assert_eq!(ground.vanishing_line(&Broken), None);
     Ok(())
 }

@@ -317,3 +317,70 @@ fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
         Err(_) => Err("tract panicked on it; the file is broken or unsupported".to_owned()),
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::expect_used)]
+mod tests {
+    use super::*;
+
+    fn models() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models")
+    }
+
+    /// A tensor file as ONNX's own test data has them.
+    fn tensor(path: &Path) -> Vec<f32> {
+        let file = std::fs::File::open(path).expect("a golden file");
+        let proto = tract_onnx::tensor::proto_from_reader(file).expect("a tensor");
+        let tensor = tract_onnx::tensor::load_tensor(
+            &tract_onnx::data_resolver::MmapDataResolver,
+            &proto,
+            None,
+        )
+        .expect("a tensor");
+        let plain = tensor.try_as_plain_ram().expect("numbers");
+        plain.as_slice::<f32>().expect("f32").to_vec()
+    }
+
+    /// Largest and mean difference of each output from what ONNX Runtime gave for the same input.
+    fn differences(name: &str) -> Vec<(f32, f32)> {
+        let golden = models().join("golden").join(name);
+        let model =
+            Model::from_file(&models().join(format!("{name}.onnx"))).expect("a shipped model");
+        let mut outputs = vec!["residual"];
+        outputs.extend(model.contract.attention.as_ref().map(|_| "attention"));
+        outputs.extend(model.contract.slope.as_ref().map(|_| "slope"));
+        let mut network = Network::new(&model, (96, 64), &outputs).expect("a network");
+        let input = tensor(&golden.join("input.pb"));
+        network
+            .fill_input(|planes| {
+                planes.copy_from_slice(&input);
+                Ok(())
+            })
+            .expect("filled");
+        let values = network.run().expect("outputs");
+        let compare = |(index, output): (usize, &&str)| {
+            let (ours, _) = values.head(index).expect("a head");
+            let theirs = tensor(&golden.join(format!("{output}.pb")));
+            assert_eq!(ours.len(), theirs.len());
+            let differences: Vec<f32> = ours
+                .iter()
+                .zip(&theirs)
+                .map(|(a, b)| (a - b).abs())
+                .collect();
+            let largest = differences.iter().copied().fold(0.0, f32::max);
+            let mean = differences.iter().sum::<f32>() / differences.len() as f32;
+            println!("{name} {output}: largest difference {largest}, mean {mean}");
+            (largest, mean)
+        };
+        outputs.iter().enumerate().map(compare).collect()
+    }
+
+    #[test]
+    fn f32_networks_give_what_onnx_runtime_gives() {
+        for mode in ["baseline", "vanilla", "adaptive"] {
+            for (largest, _) in differences(&format!("{mode}-f32")) {
+                assert!(largest < 1e-3, "{mode}: {largest}");
+            }
+        }
+    }
+}

@@ -66,8 +66,8 @@ fn position(metres: f32) -> f32 {
 }
 
 fn colour(metres: f32) -> Rgb<u8> {
-    // Turbo runs from blue to red; near is red.
-    let c = colorous::TURBO.eval_continuous(f64::from(1.0 - position(metres)));
+    // Turbo runs from blue to red; near is red. Its nearly black ends are left out: black is for no depth.
+    let c = colorous::TURBO.eval_continuous(f64::from(0.95 - 0.88 * position(metres)));
     Rgb([c.r, c.g, c.b])
 }
 

@@ -35,7 +35,7 @@ pub struct KannalaBrandt {
 
 const ANGLE_MAX: Angle = Angle::from_degrees(179.0);
 const SLOPE: RangeInclusive<f64> = 1e-2..=1e2;
-const INTERVALS: usize = 32;
+const INTERVALS: usize = 12;
 
 impl KannalaBrandt {
     /// A camera with coefficients `[k1, k2, k3, k4]`.
@@ -60,16 +60,7 @@ impl KannalaBrandt {
         });
         camera.limit = angle * angle;
         camera.limit_radius = camera.radius_squared(camera.limit)[0];
-        camera.per_interval = INTERVALS as f64 / camera.limit_radius;
-        for i in 0..=INTERVALS {
-            let squared = i as f64 / camera.per_interval;
-            let s = camera.angle_squared(squared, squared);
-            let [_, slope] = camera.radius_squared(s);
-            if let Some(node) = camera.start.get_mut(i) {
-                *node = [s, 1.0 / slope / camera.per_interval];
-            }
-        }
-        Ok(camera)
+        Ok(camera.with_intrinsics(intrinsics))
     }
 
     /// Its intrinsics.
@@ -78,8 +69,24 @@ impl KannalaBrandt {
     }
 
     /// The same lens with other intrinsics: after cropping, resizing, flipping or binning.
-    pub const fn with_intrinsics(self, intrinsics: Intrinsics) -> Self {
-        Self { intrinsics, ..self }
+    pub fn with_intrinsics(mut self, intrinsics: Intrinsics) -> Self {
+        self.intrinsics = intrinsics;
+        // The search starts well for all pixels of the picture, and somehow for others.
+        let (right, bottom) = (intrinsics.size().width(), intrinsics.size().height());
+        let mut largest: f64 = 1e-9;
+        for (u, v) in [(0, 0), (right, 0), (0, bottom), (right, bottom)] {
+            let (x, y) = intrinsics.image_plane(Pixel::new(f64::from(u), f64::from(v)));
+            largest = largest.max(x * x + y * y);
+        }
+        self.per_interval = INTERVALS as f64 / largest.min(self.limit_radius);
+        let lens = self;
+        for (i, node) in self.start.iter_mut().enumerate() {
+            let squared = i as f64 / lens.per_interval;
+            let s = lens.angle_squared(squared, squared);
+            let [_, slope] = lens.radius_squared(s);
+            *node = [s, 1.0 / slope / lens.per_interval];
+        }
+        self
     }
 
     /// P and its derivative at `s`.
