@@ -221,23 +221,50 @@ impl Convolution {
         self.bias.iter().enumerate().map(start).collect()
     }
 
-    /// Whether no input whatever can carry an accumulator, or a rounded result, out of 32 bits.
-    pub(crate) fn fits_32_bits(&self, input: Quantization, form: &Form) -> bool {
+    /// Whether no input whatever can carry an accumulator's final value, or a rounded result, out of 32 bits. (On the
+    /// way there sums may wrap around: adding is exact modulo 2^32.)
+    ///
+    /// ONNX Runtime gives channels that never fire biases close to -2^31. Such a channel loses its weights here, and half
+    /// its bias, provided that it comes out saturated either way.
+    pub(crate) fn fit_32_bits(&mut self, input: Quantization, form: &Form) -> bool {
         let factors = self.factors(input, form);
-        (0..self.outputs).all(|output| {
-            let sum: i64 = self
-                .filter(output)
-                .iter()
-                .map(|&w| i64::from(w).abs())
-                .sum();
-            // Twice, for the part that the start takes off beforehand.
-            let most = 2 * 255 * sum + i64::from(self.bias[output]).abs();
+        let (least, most) = (-i64::from(input.zero), 255 - i64::from(input.zero));
+        let length = self.weights.len() / self.outputs;
+        for (output, factor) in factors.into_iter().enumerate() {
+            let mut ends = [i64::from(self.bias[output]); 2];
+            for &weight in self.filter(output) {
+                let products = [i64::from(weight) * least, i64::from(weight) * most];
+                ends[0] += products[0].min(products[1]);
+                ends[1] += products[0].max(products[1]);
+            }
+            let farthest = ends[0].abs().max(ends[1].abs());
             let step = match form {
-                Form::Bytes { .. } => most as f64 * f64::from(factors[output]),
+                Form::Bytes { .. } => farthest as f64 * f64::from(factor),
                 Form::Floats => 0.0,
             };
-            most < i64::from(i32::MAX) && step < f64::from(1 << 30)
-        })
+            if step >= f64::from(1 << 30) {
+                return false;
+            }
+            if farthest >= i64::from(i32::MAX) {
+                let Form::Bytes {
+                    quantization,
+                    range,
+                } = form
+                else {
+                    return false;
+                };
+                let bias = self.bias[output] / 2;
+                let byte = |end: i64| saturate(end as f32 * factor, quantization.zero, range);
+                let low = [ends[1], i64::from(bias)].map(byte) == [*range.start(); 2];
+                let high = [ends[0], i64::from(bias)].map(byte) == [*range.end(); 2];
+                if !low && !high {
+                    return false;
+                }
+                self.bias[output] = bias;
+                self.weights[output * length..][..length].fill(0);
+            }
+        }
+        true
     }
 }
 

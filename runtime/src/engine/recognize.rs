@@ -585,9 +585,9 @@ impl<'a> Reader<'a> {
         match node.op_type.as_str() {
             "Conv" => {
                 let operand = input(0)?;
-                let convolution = self.convolution(node, operand.quantization, nodes)?;
+                let mut convolution = self.convolution(node, operand.quantization, nodes)?;
                 convolution
-                    .fits_32_bits(operand.quantization, form)
+                    .fit_32_bits(operand.quantization, form)
                     .then_some((Operation::Convolution(convolution), vec![operand]))
             }
             "Add" => Some((Operation::Add, vec![input(0)?, input(1)?])),

@@ -326,13 +326,21 @@ fn convolutions_are_the_nearest_step() {
         let taps = kernel[0] * kernel[1];
         let steps = Steps::random(&mut numbers, 0.02);
         let out = Steps::random(&mut numbers, 0.01 * ((per_group * taps) as f32).sqrt());
-        let weights: Vec<i8> = (0..outs * per_group * taps)
+        let mut weights: Vec<i8> = (0..outs * per_group * taps)
             .map(|_| numbers.next() as i8)
             .collect();
-        let scales: Vec<f32> = (0..outs).map(|_| numbers.real(0.001, 0.01)).collect();
-        let bias: Vec<i32> = (0..outs)
+        let mut scales: Vec<f32> = (0..outs).map(|_| numbers.real(0.001, 0.01)).collect();
+        let mut bias: Vec<i32> = (0..outs)
             .map(|_| numbers.below(4001) as i32 - 2000)
             .collect();
+        if case % 4 == 0 {
+            // A channel that never fires, as ONNX Runtime's quantizer writes it.
+            scales[0] = 1e-9 / steps.scale;
+            bias[0] = 200_000 - i32::MAX;
+            for weight in &mut weights[..per_group * taps] {
+                *weight %= 2;
+            }
+        }
         let clip = numbers.below(3);
 
         let mut b = Builder::new(shape);
@@ -679,4 +687,26 @@ fn the_whole_network_agrees_with_tract() {
             "{apart} apart, of a spread of {spread}"
         );
     }
+}
+
+#[test]
+fn the_embedded_model_is_one_island() {
+    let file = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../fixtures/models/adaptive-int8.onnx"
+    );
+    let bytes = std::fs::read(file).unwrap();
+    let model = tract_onnx::onnx()
+        .proto_model_for_read(&mut bytes.as_slice())
+        .unwrap();
+    let split = Engine::default().split(&model).unwrap();
+    let operators: Vec<&str> = split
+        .graph
+        .as_ref()
+        .unwrap()
+        .node
+        .iter()
+        .map(|n| n.op_type.as_str())
+        .collect();
+    assert_eq!(operators, [ISLAND]);
 }

@@ -1,9 +1,9 @@
 //! AVX-512 with VNNI: `vpdpbusd` multiplies 64 bytes by 64 weights and adds them, four by four, to 16 lanes.
 //!
-//! Nothing here saturates before the end: `vpdpbusd` adds exactly, [`Convolution::fits_32_bits`] keeps the lanes and the
+//! Nothing here saturates before the end: `vpdpbusd` adds exactly, [`Convolution::fit_32_bits`] keeps the lanes and the
 //! rounded results in range, and rounding is `vcvtps2dq` with ties to even. Packing to bytes saturates as it should.
 //!
-//! [`Convolution::fits_32_bits`]: crate::engine::layer::Convolution::fits_32_bits
+//! [`Convolution::fit_32_bits`]: crate::engine::layer::Convolution::fit_32_bits
 
 use std::arch::x86_64::*;
 

@@ -22,7 +22,7 @@ fn accumulate(
         for (bytes, weights) in input.chunks_exact(4).zip(&mut quads) {
             for (sum, weights) in sums.iter_mut().zip(weights.chunks_exact(4)) {
                 for (&byte, &weight) in bytes.iter().zip(weights) {
-                    *sum += i32::from(byte) * i32::from(weight);
+                    *sum = sum.wrapping_add(i32::from(byte) * i32::from(weight));
                 }
             }
         }
@@ -90,7 +90,7 @@ pub(super) fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &m
                 let input = &row.input[row.base + run + pixel * row.step + first..][..BLOCK];
                 let weights = &packed.weights[tap * packed.pitch + first..][..BLOCK];
                 for ((sum, &byte), &weight) in sums.iter_mut().zip(input).zip(weights) {
-                    *sum += i32::from(byte) * i32::from(weight);
+                    *sum = sum.wrapping_add(i32::from(byte) * i32::from(weight));
                 }
             }
             for ((out, sum), factor) in out[first..]
