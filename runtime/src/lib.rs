@@ -24,6 +24,7 @@ pub mod picture;
 pub mod render;
 
 mod calibration;
+mod engine;
 mod error;
 mod estimator;
 mod model;
@@ -31,6 +32,7 @@ mod preprocess;
 mod vectors;
 
 pub use calibration::{Calibration, Camera, json, kitti};
+pub use engine::{Engine, Kernel};
 pub use error::Error;
 pub use estimator::{Estimate, Estimator, OutputSize, StageTimes};
 pub use model::{Model, Size};

@@ -12,6 +12,7 @@ use tract_onnx::prelude::*;
 
 use crate::Error;
 use crate::contract::Contract;
+use crate::engine::{self, Engine};
 
 /// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
 static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onnx");
@@ -31,6 +32,7 @@ pub struct Model {
     proto: ModelProto,
     /// Width and height of the input, where the file fixes them.
     fixed_size: Option<Size>,
+    engine: Engine,
 }
 
 impl Model {
@@ -84,7 +86,13 @@ impl Model {
             contract,
             proto,
             fixed_size,
+            engine: Engine::default(),
         })
+    }
+
+    /// Runs its quantized layers in another way than [`Engine::default`].
+    pub fn with_engine(self, engine: Engine) -> Self {
+        Self { engine, ..self }
     }
 
     /// What the model says about itself.
@@ -212,14 +220,21 @@ impl Network {
             size.1 as usize,
             size.0 as usize,
         ];
-        let plan = guarded(|| {
-            tract_onnx::onnx()
-                .model_for_proto_model(&model.proto)?
-                .with_input_fact(0, f32::fact(shape).into())?
-                .into_optimized()?
-                .into_runnable()
-        })
-        .map_err(unfit)?;
+        let plan = |proto: &ModelProto| {
+            guarded(|| {
+                let mut onnx = tract_onnx::onnx();
+                engine::register(&mut onnx);
+                onnx.model_for_proto_model(proto)?
+                    .with_input_fact(0, f32::fact(shape).into())?
+                    .into_optimized()?
+                    .into_runnable()
+            })
+        };
+        // What the engine cannot do after all, tract does.
+        let plan = match model.engine.split(&model.proto).map(|split| plan(&split)) {
+            Some(Ok(planned)) => planned,
+            Some(Err(_)) | None => plan(&model.proto).map_err(unfit)?,
+        };
         let input = guarded(|| Tensor::zero::<f32>(&shape)).map_err(unfit)?;
         Ok(Self {
             path: model.path.clone(),

@@ -1,0 +1,96 @@
+//! The network alone, by each way of running it, and what the processor's int8 multiplier could do at best.
+#![allow(missing_docs, clippy::expect_used)]
+
+use std::path::Path;
+use std::time::Duration;
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use gedepth::{Calibration, Engine, Estimator, Kernel, Model, OutputSize, Picture, picture};
+
+const NETWORK: (u32, u32) = (640, 192);
+
+fn network(criterion: &mut Criterion) {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
+    let scene = fixtures.join("scenes/street");
+    let image = picture::read(&scene.join("image.png")).expect("the shipped picture");
+    let picture = Picture::from(&image);
+    let calibration = Calibration::read(&scene.join("calibration.json")).expect("its calibration");
+    let mut engines = vec![("tract".to_owned(), Engine::Tract)];
+    for kernel in Kernel::ALL
+        .into_iter()
+        .filter(|kernel| kernel.is_supported())
+    {
+        for threads in [1, 2] {
+            engines.push((
+                format!("{kernel:?}, {threads} threads"),
+                Engine::Quantized { kernel, threads },
+            ));
+        }
+    }
+    let mut group = criterion.benchmark_group("adaptive int8 network, 640x192");
+    group.sample_size(20);
+    for (name, engine) in engines {
+        let model =
+            Model::from_file(&fixtures.join("models/adaptive-int8.onnx")).expect("a shipped model");
+        let model = model.with_engine(engine);
+        let mut estimator = Estimator::new(
+            &model,
+            &calibration,
+            picture.size(),
+            Some(NETWORK),
+            OutputSize::Network,
+        )
+        .expect("an estimator");
+        group.bench_function(name, |bencher| {
+            bencher.iter_custom(|runs| {
+                (0..runs)
+                    .map(|_| estimator.run(picture).expect("depth").times.network)
+                    .sum::<Duration>()
+            });
+        });
+    }
+    group.finish();
+}
+
+/// Multiply-adds per second of the VNNI unit of one core: independent sums in registers, no memory.
+#[cfg(target_arch = "x86_64")]
+fn peak(criterion: &mut Criterion) {
+    use std::arch::x86_64::*;
+
+    const ROUNDS: u64 = 10_000;
+    const SUMS: usize = 16;
+
+    #[target_feature(enable = "avx512f,avx512vnni")]
+    fn multiply(bytes: __m512i, weights: __m512i) -> i32 {
+        let mut sums = [_mm512_setzero_si512(); SUMS];
+        for _ in 0..ROUNDS {
+            for sum in &mut sums {
+                // SAFETY: arithmetic on registers. In assembly, since the compiler would see that the rounds are alike.
+                unsafe {
+                    std::arch::asm!("vpdpbusd {}, {}, {}", inout(zmm_reg) *sum, in(zmm_reg) bytes, in(zmm_reg) weights,
+                        options(pure, nomem, nostack));
+                }
+            }
+        }
+        sums.into_iter()
+            .map(|sum| _mm512_reduce_add_epi32(sum))
+            .fold(0, i32::wrapping_add)
+    }
+
+    if !Kernel::Avx512Vnni.is_supported() {
+        return;
+    }
+    let mut group = criterion.benchmark_group("peak of one core");
+    group.throughput(Throughput::Elements(ROUNDS * SUMS as u64 * 64));
+    group.bench_function("vpdpbusd, multiply-adds", |bencher| {
+        // SAFETY: the processor has the instructions, as was just asked.
+        bencher.iter(|| unsafe { multiply(_mm512_set1_epi8(3), _mm512_set1_epi8(5)) });
+    });
+    group.finish();
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn peak(_: &mut Criterion) {}
+
+criterion_group!(benches, peak, network);
+criterion_main!(benches);

@@ -1,0 +1,317 @@
+//! Islands: the layers of a graph, gathered so that each gathering can run in one go.
+//!
+//! Layers are in one island when the same number of detours through tract lies on their way from the inputs. No way
+//! out of an island can then come back into it.
+
+use std::collections::{HashMap, HashSet};
+
+use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto, ValueInfoProto};
+
+use super::layer::{Form, Layer, Operation, Shape};
+use super::recognize::{Recognized, layers};
+
+/// The operator that an island becomes; its attribute [`BODY`] holds the island's graph.
+pub(crate) const ISLAND: &str = "GedepthQuantizedIsland";
+/// Name of the attribute of an [`ISLAND`] node.
+pub(crate) const BODY: &str = "body";
+
+/// Layers that run in one go.
+#[derive(Debug)]
+pub(crate) struct Island {
+    /// Names of the f32 tensors that it reads.
+    pub(crate) inputs: Vec<String>,
+    /// Names of the f32 tensors that it writes.
+    pub(crate) outputs: Vec<String>,
+    /// Each after those that it reads from.
+    pub(crate) layers: Vec<Layer>,
+}
+
+impl Island {
+    /// The island of a graph that [`replace_islands`] made.
+    pub(crate) fn from_body(body: &GraphProto) -> Self {
+        Self {
+            inputs: body.input.iter().map(|input| input.name.clone()).collect(),
+            outputs: body
+                .output
+                .iter()
+                .map(|output| output.name.clone())
+                .collect(),
+            layers: layers(body).into_iter().map(|found| found.layer).collect(),
+        }
+    }
+
+    /// Shapes of the tensors that the layers write, by name, given those of the inputs.
+    pub(crate) fn shapes(&self, inputs: &[Shape]) -> Result<HashMap<&str, Shape>, String> {
+        let mut shapes: HashMap<&str, Shape> = self
+            .inputs
+            .iter()
+            .map(String::as_str)
+            .zip(inputs.iter().copied())
+            .collect();
+        for layer in &self.layers {
+            let read = layer.inputs.iter().map(|input| {
+                shapes
+                    .get(input.name.as_str())
+                    .copied()
+                    .ok_or_else(|| format!("`{}` is not made", input.name))
+            });
+            let read: Vec<Shape> = read.collect::<Result<_, _>>()?;
+            let shape = layer
+                .shape(&read)
+                .map_err(|reason| format!("`{}`: {reason}", layer.output))?;
+            shapes.insert(&layer.output, shape);
+        }
+        Ok(shapes)
+    }
+}
+
+/// The model with each island as one node; `None` where there is none.
+pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
+    let graph = model.graph.as_ref()?;
+    // Graphs within graphs read names that no node's inputs show.
+    if graph
+        .node
+        .iter()
+        .flat_map(|node| &node.attribute)
+        .any(|a| a.g.is_some() || !a.graphs.is_empty())
+    {
+        return None;
+    }
+    let found = layers(graph);
+    if found.iter().all(|f| {
+        matches!(
+            f.layer.operation,
+            Operation::Quantize | Operation::Dequantize
+        )
+    }) {
+        return None;
+    }
+    let levels = levels(graph, &found);
+    let islands: Vec<NodeProto> = (0..=levels.iter().copied().max()?)
+        .filter(|level| levels.contains(level))
+        .map(|level| island_node(graph, &found, &levels, level))
+        .collect();
+    // What else they stood for goes with the sweep, unless somebody else reads it too.
+    let replaced: HashSet<usize> = found
+        .iter()
+        .filter_map(|f| f.nodes.last().copied())
+        .collect();
+    let mut graph = graph.clone();
+    let mut index = 0;
+    graph.node.retain(|_| {
+        index += 1;
+        !replaced.contains(&(index - 1))
+    });
+    graph.node.extend(islands);
+    sweep(&mut graph);
+    Some(ModelProto {
+        graph: Some(graph),
+        ..model.clone()
+    })
+}
+
+/// How many detours through tract lie before each layer.
+fn levels(graph: &GraphProto, found: &[Recognized]) -> Vec<usize> {
+    let by_node: HashMap<usize, usize> = found
+        .iter()
+        .enumerate()
+        .filter_map(|(index, f)| Some((*f.nodes.last()?, index)))
+        .collect();
+    // Of tensors: what a reader outside has behind it. Bytes have no readers outside.
+    let mut level: HashMap<&str, usize> = HashMap::new();
+    let mut levels = vec![0; found.len()];
+    for (index, node) in graph.node.iter().enumerate() {
+        let at = |names: &mut dyn Iterator<Item = &String>| {
+            names
+                .filter_map(|name| level.get(name.as_str()))
+                .copied()
+                .max()
+                .unwrap_or(0)
+        };
+        match by_node.get(&index) {
+            Some(&layer) => {
+                let Layer { inputs, form, .. } = &found[layer].layer;
+                let at = at(&mut inputs.iter().map(|input| &input.name));
+                levels[layer] = at;
+                let leaves = usize::from(matches!(form, Form::Floats));
+                level.extend(node.output.iter().map(|name| (name.as_str(), at + leaves)));
+            }
+            None => {
+                let at = at(&mut node.input.iter());
+                level.extend(node.output.iter().map(|name| (name.as_str(), at)));
+            }
+        }
+    }
+    levels
+}
+
+/// The layers of one level as a node.
+fn island_node(
+    graph: &GraphProto,
+    found: &[Recognized],
+    levels: &[usize],
+    level: usize,
+) -> NodeProto {
+    let mut nodes = HashSet::new();
+    let (mut inputs, mut outputs): (Vec<String>, Vec<String>) = Default::default();
+    let mut crossing = Vec::new();
+    let makers: HashMap<&str, usize> = found
+        .iter()
+        .enumerate()
+        .map(|(index, f)| (f.layer.output.as_str(), index))
+        .collect();
+    for (member, _) in found.iter().zip(levels).filter(|(_, l)| **l == level) {
+        nodes.extend(member.nodes.iter().copied());
+        if let Operation::Quantize = member.layer.operation {
+            inputs.push(member.layer.inputs[0].name.clone());
+        } else {
+            for input in &member.layer.inputs {
+                nodes.extend(dequantizers(graph, &input.name));
+                // Bytes of an earlier island come in as f32, which they survive unchanged.
+                let maker = makers[input.name.as_str()];
+                if levels[maker] < level {
+                    let (_, quantize) = crossers(graph, &found[maker]);
+                    inputs.push(quantize.input[0].clone());
+                    crossing.push(quantize);
+                }
+            }
+        }
+        if let Form::Floats = member.layer.form {
+            outputs.push(member.layer.output.clone());
+        }
+        let leaves = |(reader, l): (&Recognized, &usize)| {
+            *l > level
+                && !matches!(reader.layer.operation, Operation::Quantize)
+                && reader
+                    .layer
+                    .inputs
+                    .iter()
+                    .any(|input| input.name == member.layer.output)
+        };
+        if found.iter().zip(levels).any(leaves) {
+            let (dequantize, _) = crossers(graph, member);
+            outputs.push(dequantize.output[0].clone());
+            crossing.push(dequantize);
+        }
+    }
+    inputs.sort_unstable();
+    inputs.dedup();
+    crossing.sort_by(|a, b| a.output.cmp(&b.output));
+    crossing.dedup();
+    let (quantize, dequantize): (Vec<_>, Vec<_>) = crossing
+        .into_iter()
+        .partition(|n| n.op_type == "QuantizeLinear");
+    let own = graph
+        .node
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| nodes.contains(index))
+        .map(|(_, node)| node.clone());
+    let mut node: Vec<NodeProto> = quantize.into_iter().chain(own).chain(dequantize).collect();
+    let constants: Vec<NodeProto> = graph
+        .node
+        .iter()
+        .filter(|constant| constant.op_type == "Constant" && !node.contains(constant))
+        .filter(|constant| {
+            node.iter()
+                .flat_map(|node| &node.input)
+                .any(|name| constant.output.contains(name))
+        })
+        .cloned()
+        .collect();
+    node.splice(0..0, constants);
+    let named = |name: &String| ValueInfoProto {
+        name: name.clone(),
+        ..ValueInfoProto::default()
+    };
+    let read: HashSet<&str> = node
+        .iter()
+        .flat_map(|node| &node.input)
+        .map(String::as_str)
+        .collect();
+    let body = GraphProto {
+        initializer: graph
+            .initializer
+            .iter()
+            .filter(|t| read.contains(t.name.as_str()))
+            .cloned()
+            .collect(),
+        input: inputs.iter().map(named).collect(),
+        output: outputs.iter().map(named).collect(),
+        node,
+        ..GraphProto::default()
+    };
+    NodeProto {
+        name: format!("quantized island {level}"),
+        op_type: ISLAND.to_owned(),
+        input: inputs,
+        output: outputs,
+        attribute: vec![AttributeProto {
+            name: BODY.to_owned(),
+            g: Some(body),
+            ..AttributeProto::default()
+        }],
+        ..NodeProto::default()
+    }
+}
+
+/// The nodes that dequantize a byte tensor.
+fn dequantizers(graph: &GraphProto, name: &str) -> impl Iterator<Item = usize> {
+    let reads = move |node: &NodeProto| {
+        node.op_type == "DequantizeLinear" && node.input.first().is_some_and(|n| n == name)
+    };
+    graph
+        .node
+        .iter()
+        .enumerate()
+        .filter(move |(_, node)| reads(node))
+        .map(|(index, _)| index)
+}
+
+/// The nodes that take a layer's bytes out of its island, as f32, and into another.
+fn crossers(graph: &GraphProto, maker: &Recognized) -> (NodeProto, NodeProto) {
+    let bytes = maker.layer.output.clone();
+    let real = format!("{bytes} between islands");
+    let mut parameters = maker
+        .nodes
+        .last()
+        .map_or(Vec::new(), |&node| graph.node[node].input.clone());
+    let mut node = |op_type: &str, from: &str, to: &str| {
+        parameters[0] = from.to_owned();
+        NodeProto {
+            op_type: op_type.to_owned(),
+            input: parameters.clone(),
+            output: vec![to.to_owned()],
+            ..NodeProto::default()
+        }
+    };
+    (
+        node("DequantizeLinear", &bytes, &real),
+        node("QuantizeLinear", &real, &bytes),
+    )
+}
+
+/// Takes out nodes and weights that nothing reads any more.
+fn sweep(graph: &mut GraphProto) {
+    loop {
+        let read: HashSet<String> = graph
+            .node
+            .iter()
+            .flat_map(|node| &node.input)
+            .chain(graph.output.iter().map(|output| &output.name))
+            .cloned()
+            .collect();
+        let nodes = graph.node.len();
+        graph
+            .node
+            .retain(|node| node.output.iter().any(|name| read.contains(name)));
+        if graph.node.len() == nodes {
+            graph
+                .initializer
+                .retain(|tensor| read.contains(&tensor.name));
+            let made: HashSet<&String> = graph.node.iter().flat_map(|node| &node.output).collect();
+            graph.value_info.retain(|value| made.contains(&value.name));
+            return;
+        }
+    }
+}

@@ -1,0 +1,302 @@
+//! AVX2: bytes widened to 16 bits, `vpmaddwd` multiplies them in pairs and adds exactly. (`vpmaddubsw`, which takes
+//! bytes, saturates in between and would not give the same result.)
+
+use std::arch::x86_64::*;
+
+use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, groups, portable};
+
+/// Pixels of a tile.
+const PIXELS: usize = 4;
+
+/// Zero point and bounds of the output in every lane.
+#[derive(Clone, Copy)]
+struct Limits {
+    zero: __m256i,
+    low: __m128i,
+    high: __m128i,
+}
+
+impl Limits {
+    #[target_feature(enable = "avx2")]
+    fn new(to: &ToBytes) -> Self {
+        Self {
+            zero: _mm256_set1_epi16(i16::from(to.zero)),
+            low: _mm_set1_epi8(*to.range.start() as i8),
+            high: _mm_set1_epi8(*to.range.end() as i8),
+        }
+    }
+
+    /// Sixteen rounded results, in order, as bytes.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn pack(&self, results: __m256i) -> __m128i {
+        let words = _mm256_adds_epi16(results, self.zero);
+        let bytes = _mm256_permute4x64_epi64::<0b1000>(_mm256_packus_epi16(words, words));
+        _mm_min_epu8(
+            _mm_max_epu8(_mm256_castsi256_si128(bytes), self.low),
+            self.high,
+        )
+    }
+}
+
+/// Accumulators as rounded results; the processor's rounding mode is Rust's: to nearest, ties to even.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn scaled(sums: __m256i, factors: __m256) -> __m256i {
+    _mm256_cvtps_epi32(_mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors))
+}
+
+/// Accumulators of one block of `COUNT` pixels from `pixel` on, eight lanes in a register.
+///
+/// # Safety
+/// The row passed `Dense::check` and has those pixels; `weights` is the block's first vector in a group of `group`
+/// blocks, `lane` its first output channel.
+#[target_feature(enable = "avx2")]
+#[inline]
+unsafe fn sums<const COUNT: usize>(
+    dense: &Dense,
+    row: &Row<'_>,
+    (lane, group): (usize, usize),
+    mut weights: *const i8,
+    pixel: usize,
+) -> [[__m256i; 2]; COUNT] {
+    // SAFETY: there is a start for every lane of every block.
+    let starts = unsafe {
+        let at = dense.starts.as_ptr().add(lane);
+        [
+            _mm256_loadu_si256(at.cast()),
+            _mm256_loadu_si256(at.add(8).cast()),
+        ]
+    };
+    let mut sums = [starts; COUNT];
+    let even = _mm256_set1_epi16(0xff);
+    for offset in row.runs {
+        // SAFETY: the first byte of the run of the first pixel is in the row's input.
+        let mut input = unsafe { row.input.as_ptr().add(row.base + offset + pixel * row.step) };
+        for _ in 0..dense.run / 4 {
+            // SAFETY: a group has `runs * run / 4` times `group` vectors of 64 weights.
+            let halves =
+                unsafe { [weights, weights.add(32)].map(|at| _mm256_loadu_si256(at.cast())) };
+            let evens = halves.map(|w| _mm256_srai_epi16::<8>(_mm256_slli_epi16::<8>(w)));
+            let odds = halves.map(|w| _mm256_srai_epi16::<8>(w));
+            for (number, sums) in sums.iter_mut().enumerate() {
+                // SAFETY: four bytes of a run of a pixel of the row.
+                let quad = unsafe { input.add(number * row.step).cast::<i32>().read_unaligned() };
+                let quad = _mm256_set1_epi32(quad);
+                let (e, o) = (_mm256_and_si256(quad, even), _mm256_srli_epi16::<8>(quad));
+                for half in 0..2 {
+                    let products = _mm256_add_epi32(
+                        _mm256_madd_epi16(e, evens[half]),
+                        _mm256_madd_epi16(o, odds[half]),
+                    );
+                    sums[half] = _mm256_add_epi32(sums[half], products);
+                }
+            }
+            // SAFETY: at most to the end of the run, and of the group's weights.
+            (input, weights) = unsafe { (input.add(4), weights.add(group * 4 * BLOCK)) };
+        }
+    }
+    sums
+}
+
+/// Calls `store(pixel, lane, accumulators)` for each block of each pixel.
+///
+/// # Safety
+/// The processor has AVX2, and the row passed `Dense::check`.
+#[target_feature(enable = "avx2")]
+#[inline]
+unsafe fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, usize, [__m256i; 2])) {
+    let mut lane = 0;
+    let mut weights = dense.weights.as_ptr();
+    for group in groups(dense.blocks) {
+        for block in 0..group {
+            let place = (lane, group);
+            // SAFETY: `Dense::new` packed as many starts and weights as the groups have; the pixels are the row's.
+            unsafe {
+                let weights = weights.add(block * 4 * BLOCK);
+                let whole = row.pixels / PIXELS * PIXELS;
+                for pixel in (0..whole).step_by(PIXELS) {
+                    let sums = sums::<PIXELS>(dense, row, place, weights, pixel);
+                    for (number, sums) in sums.into_iter().enumerate() {
+                        store(pixel + number, lane, sums);
+                    }
+                }
+                for pixel in whole..row.pixels {
+                    store(pixel, lane, sums::<1>(dense, row, place, weights, pixel)[0]);
+                }
+            }
+            lane += BLOCK;
+        }
+        // SAFETY: at most to the end of the weights.
+        weights = unsafe { weights.add(group * BLOCK * dense.runs * dense.run) };
+    }
+}
+
+/// # Safety
+/// The processor has AVX2.
+#[target_feature(enable = "avx2")]
+pub(super) unsafe fn dense_bytes(
+    packed: &Dense,
+    row: &Row<'_>,
+    to: &ToBytes,
+    out: &mut [u8],
+    pitch: usize,
+) {
+    let limits = Limits::new(to);
+    let out = out.as_mut_ptr();
+    let store = |pixel: usize, lane: usize, sums: [__m256i; 2]| {
+        // SAFETY: there is a factor for every lane; the caller checked that `out` has room for the row.
+        unsafe {
+            let factors = packed.factors.as_ptr().add(lane);
+            let low = scaled(sums[0], _mm256_loadu_ps(factors));
+            let high = scaled(sums[1], _mm256_loadu_ps(factors.add(8)));
+            let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(low, high));
+            _mm_storeu_si128(out.add(pixel * pitch + lane).cast(), limits.pack(results));
+        }
+    };
+    // SAFETY: the caller checked the row.
+    unsafe { dense(packed, row, store) };
+}
+
+/// # Safety
+/// As [`dense_bytes`].
+#[target_feature(enable = "avx2")]
+pub(super) unsafe fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
+    let store = |pixel: usize, lane: usize, sums: [__m256i; 2]| {
+        for (half, sums) in sums.into_iter().enumerate() {
+            let lane = lane + half * 8;
+            let mut values = [0.0; 8];
+            // SAFETY: there is a factor for every lane.
+            unsafe {
+                let factors = _mm256_loadu_ps(packed.factors.as_ptr().add(lane));
+                _mm256_storeu_ps(
+                    values.as_mut_ptr(),
+                    _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors),
+                );
+            }
+            for (number, value) in values.into_iter().enumerate() {
+                out[(lane + number) * row.pixels + pixel] = value;
+            }
+        }
+    };
+    // SAFETY: the caller checked the row.
+    unsafe { dense(packed, row, store) };
+}
+
+/// Sixteen channels of two taps as 16-bit pairs; 128-bit lane by lane, so channels 0 to 3 and 8 to 11, then the others.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn pairs(one: __m256i, other: __m256i) -> [__m256i; 2] {
+    [
+        _mm256_unpacklo_epi16(one, other),
+        _mm256_unpackhi_epi16(one, other),
+    ]
+}
+
+/// # Safety
+/// As [`dense_bytes`].
+#[target_feature(enable = "avx2")]
+pub(super) unsafe fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
+    let limits = Limits::new(to);
+    let pitch = packed.pitch;
+    for channel in (0..pitch).step_by(BLOCK) {
+        // SAFETY: there are a start and a factor for every channel of the pitch.
+        let (starts, factors) = unsafe {
+            let starts = packed.starts.as_ptr().add(channel);
+            let starts = [
+                _mm256_loadu_si256(starts.cast()),
+                _mm256_loadu_si256(starts.add(8).cast()),
+            ];
+            let factors = packed.factors.as_ptr().add(channel);
+            (
+                starts,
+                [_mm256_loadu_ps(factors), _mm256_loadu_ps(factors.add(8))],
+            )
+        };
+        let starts = [
+            _mm256_permute2x128_si256::<0x20>(starts[0], starts[1]),
+            _mm256_permute2x128_si256::<0x31>(starts[0], starts[1]),
+        ];
+        let factors = [
+            _mm256_permute2f128_ps::<0x20>(factors[0], factors[1]),
+            _mm256_permute2f128_ps::<0x31>(factors[0], factors[1]),
+        ];
+        for first in (0..row.pixels).step_by(PIXELS) {
+            let mut sums = [starts; PIXELS];
+            for (number, taps) in row.runs.chunks(2).enumerate() {
+                let zero = _mm256_setzero_si256();
+                // SAFETY: `Depthwise::new` packed a pitch of weights for each tap.
+                let weight = |tap: usize| unsafe {
+                    let at = packed
+                        .weights
+                        .as_ptr()
+                        .add((2 * number + tap) * pitch + channel);
+                    _mm256_cvtepi8_epi16(_mm_loadu_si128(at.cast()))
+                };
+                let weights = pairs(weight(0), if taps.len() > 1 { weight(1) } else { zero });
+                for (pixel, sums) in sums.iter_mut().enumerate() {
+                    // Past the end the last pixel is done again; only the pixels of the row are stored.
+                    let pixel = (first + pixel).min(row.pixels - 1);
+                    // SAFETY: sixteen channels of a tap of a pixel of the row.
+                    let input = |tap: usize| unsafe {
+                        let at = row
+                            .input
+                            .as_ptr()
+                            .add(row.base + tap + pixel * row.step + channel);
+                        _mm256_cvtepu8_epi16(_mm_loadu_si128(at.cast()))
+                    };
+                    let bytes = pairs(input(taps[0]), taps.get(1).map_or(zero, |&tap| input(tap)));
+                    for half in 0..2 {
+                        sums[half] = _mm256_add_epi32(
+                            sums[half],
+                            _mm256_madd_epi16(bytes[half], weights[half]),
+                        );
+                    }
+                }
+            }
+            for (pixel, sums) in sums.into_iter().enumerate().take(row.pixels - first) {
+                let results =
+                    _mm256_packs_epi32(scaled(sums[0], factors[0]), scaled(sums[1], factors[1]));
+                // SAFETY: sixteen bytes of a pixel that `out` has room for.
+                unsafe {
+                    let out = out.as_mut_ptr().add((first + pixel) * pitch + channel);
+                    _mm_storeu_si128(out.cast(), limits.pack(results));
+                }
+            }
+        }
+    }
+}
+
+/// # Safety
+/// As [`dense_bytes`]; the three slices are of one length.
+#[target_feature(enable = "avx2")]
+pub(super) unsafe fn add(addition: &Addition, one: &[u8], other: &[u8], out: &mut [u8]) {
+    let limits = Limits::new(&addition.to);
+    let zeros = addition
+        .zeros
+        .map(|zero| _mm256_set1_epi32(i32::from(zero)));
+    let factors = addition.factors.map(|factor| _mm256_set1_ps(factor));
+    let whole = out.len() / 16 * 16;
+    for at in (0..whole).step_by(16) {
+        let part = |input: usize, bytes: &[u8], half: usize| {
+            // SAFETY: eight of the sixteen bytes from `at` on.
+            let bytes = unsafe { _mm_loadl_epi64(bytes.as_ptr().add(at + 8 * half).cast()) };
+            let value =
+                _mm256_cvtepi32_ps(_mm256_sub_epi32(_mm256_cvtepu8_epi32(bytes), zeros[input]));
+            _mm256_mul_ps(value, factors[input])
+        };
+        let sum = |half: usize| {
+            _mm256_cvtps_epi32(_mm256_add_ps(part(0, one, half), part(1, other, half)))
+        };
+        let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(sum(0), sum(1)));
+        // SAFETY: sixteen bytes from `at` on.
+        unsafe { _mm_storeu_si128(out.as_mut_ptr().add(at).cast(), limits.pack(results)) };
+    }
+    portable::add(addition, &one[whole..], &other[whole..], &mut out[whole..]);
+}
+
+/// # Safety
+/// None; it is like the others to be dispatched like them.
+pub(super) unsafe fn quantize_four(planes: &[&[f32]], scale: f32, zero: u8, out: &mut [u8]) {
+    portable::quantize_four(planes, scale, zero, out);
+}

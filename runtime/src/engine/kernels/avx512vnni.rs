@@ -1,0 +1,580 @@
+//! AVX-512 with VNNI: `vpdpbusd` multiplies 64 bytes by 64 weights and adds them, four by four, to 16 lanes.
+//!
+//! Nothing here saturates before the end: `vpdpbusd` adds exactly, [`Convolution::fit_32_bits`] keeps the lanes and the
+//! rounded results in range, and rounding is `vcvtps2dq` with ties to even. Packing to bytes saturates as it should.
+//!
+//! [`Convolution::fit_32_bits`]: crate::engine::layer::Convolution::fit_32_bits
+
+use std::arch::x86_64::*;
+
+use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, avx2, groups, portable};
+
+/// Channels that the depthwise kernel takes at a time.
+const WIDE: usize = 64;
+/// Rows of taps that one multiplication takes.
+const TALL: usize = 4;
+const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
+
+/// Zero point and bounds of the output in every lane.
+#[derive(Clone, Copy)]
+struct Limits {
+    zero: __m512i,
+    low: __m512i,
+    high: __m512i,
+}
+
+impl Limits {
+    #[target_feature(enable = "avx512f,avx512bw")]
+    fn new(to: &ToBytes) -> Self {
+        Self {
+            zero: _mm512_set1_epi16(i16::from(to.zero)),
+            low: _mm512_set1_epi8(*to.range.start() as i8),
+            high: _mm512_set1_epi8(*to.range.end() as i8),
+        }
+    }
+
+    /// Four registers of rounded results as bytes; 128-bit lane by lane, the first's four, the second's four and so on.
+    #[target_feature(enable = "avx512f,avx512bw")]
+    #[inline]
+    fn pack(&self, v: [__m512i; 4]) -> __m512i {
+        let one = _mm512_adds_epi16(_mm512_packs_epi32(v[0], v[1]), self.zero);
+        let other = _mm512_adds_epi16(_mm512_packs_epi32(v[2], v[3]), self.zero);
+        let bytes = _mm512_packus_epi16(one, other);
+        _mm512_min_epu8(_mm512_max_epu8(bytes, self.low), self.high)
+    }
+}
+
+/// Accumulators as rounded results.
+#[target_feature(enable = "avx512f")]
+#[inline]
+fn scaled(sums: __m512i, factors: __m512) -> __m512i {
+    _mm512_cvt_roundps_epi32::<NEAREST>(_mm512_mul_ps(_mm512_cvtepi32_ps(sums), factors))
+}
+
+/// Where a tile of a dense convolution starts.
+#[derive(Clone, Copy)]
+struct Tile<'a> {
+    dense: &'a Dense,
+    row: &'a Row<'a>,
+    /// First output channel.
+    lane: usize,
+    weights: *const i8,
+    pixel: usize,
+}
+
+impl Tile<'_> {
+    /// Accumulators of `PIXELS` pixels in `BLOCKS` blocks of channels.
+    ///
+    /// # Safety
+    /// The row passed `Dense::check`; `lane`, `weights` and `pixel` are such that the tile lies in the row.
+    #[target_feature(enable = "avx512f,avx512vnni")]
+    #[inline]
+    unsafe fn sums<const BLOCKS: usize, const PIXELS: usize>(&self) -> [[__m512i; PIXELS]; BLOCKS] {
+        let Dense { run, starts, .. } = self.dense;
+        let mut sums = [[_mm512_setzero_si512(); PIXELS]; BLOCKS];
+        for (block, sums) in sums.iter_mut().enumerate() {
+            // SAFETY: there is a start for every lane of every block.
+            let start = unsafe {
+                _mm512_loadu_si512(starts.as_ptr().add(self.lane + block * BLOCK).cast())
+            };
+            *sums = [start; PIXELS];
+        }
+        let mut weights = self.weights;
+        let step = self.row.step;
+        for offset in self.row.runs {
+            // SAFETY: the first byte of the run of the tile's first pixel is in the row's input.
+            let mut input = unsafe {
+                self.row
+                    .input
+                    .as_ptr()
+                    .add(self.row.base + offset + self.pixel * step)
+            };
+            for _ in 0..run / 4 {
+                let mut w = [_mm512_setzero_si512(); BLOCKS];
+                for (block, w) in w.iter_mut().enumerate() {
+                    // SAFETY: a group has `runs * run / 4` times `BLOCKS` vectors of weights.
+                    *w = unsafe { _mm512_loadu_si512(weights.add(block * 4 * BLOCK).cast()) };
+                }
+                for pixel in 0..PIXELS {
+                    // SAFETY: four bytes of a run of a pixel of the row.
+                    let quad = unsafe { input.add(pixel * step).cast::<i32>().read_unaligned() };
+                    let quad = _mm512_set1_epi32(quad);
+                    for (sums, &w) in sums.iter_mut().zip(&w) {
+                        sums[pixel] = _mm512_dpbusd_epi32(sums[pixel], quad, w);
+                    }
+                }
+                // SAFETY: at most to the end of the run, and of the group's weights.
+                (input, weights) = unsafe { (input.add(4), weights.add(BLOCKS * 4 * BLOCK)) };
+            }
+        }
+        sums
+    }
+
+    /// Writes a tile as bytes. `PIXELS` is a multiple of four, or 1.
+    ///
+    /// # Safety
+    /// As [`Tile::sums`]; `out` has room for the row.
+    #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+    #[inline]
+    unsafe fn bytes<const BLOCKS: usize, const PIXELS: usize>(
+        &self,
+        limits: Limits,
+        out: *mut u8,
+        pitch: usize,
+    ) {
+        // SAFETY: as this function's.
+        let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
+        // From lanes of four channels of four pixels to lanes of sixteen channels of a pixel.
+        let by_pixel = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+        for (block, sums) in sums.iter().enumerate() {
+            let lane = self.lane + block * BLOCK;
+            // SAFETY: there is a factor for every lane; the pixels' bytes are in `out`.
+            unsafe {
+                let factors = _mm512_loadu_ps(self.dense.factors.as_ptr().add(lane));
+                let out = out.add(self.pixel * pitch + lane);
+                for first in (0..PIXELS).step_by(4) {
+                    let of = |pixel: usize| scaled(sums[(first + pixel).min(PIXELS - 1)], factors);
+                    let bytes = _mm512_permutexvar_epi32(
+                        by_pixel,
+                        limits.pack([of(0), of(1), of(2), of(3)]),
+                    );
+                    _mm_storeu_si128(out.add(first * pitch).cast(), _mm512_castsi512_si128(bytes));
+                    if PIXELS > 1 {
+                        _mm_storeu_si128(
+                            out.add((first + 1) * pitch).cast(),
+                            _mm512_extracti32x4_epi32::<1>(bytes),
+                        );
+                        _mm_storeu_si128(
+                            out.add((first + 2) * pitch).cast(),
+                            _mm512_extracti32x4_epi32::<2>(bytes),
+                        );
+                        _mm_storeu_si128(
+                            out.add((first + 3) * pitch).cast(),
+                            _mm512_extracti32x4_epi32::<3>(bytes),
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    /// Writes a tile as f32, lane by lane.
+    ///
+    /// # Safety
+    /// As [`Tile::sums`]; `out` has room for the row.
+    #[target_feature(enable = "avx512f,avx512vl,avx512vnni")]
+    #[inline]
+    unsafe fn floats<const BLOCKS: usize, const PIXELS: usize>(&self, out: *mut f32) {
+        // SAFETY: as this function's.
+        let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
+        let pixels = self.row.pixels;
+        for (block, sums) in sums.iter().enumerate() {
+            let lane = self.lane + block * BLOCK;
+            // SAFETY: there is a factor for every lane; each lane's pixels are in `out`.
+            unsafe {
+                let factors = _mm512_loadu_ps(self.dense.factors.as_ptr().add(lane));
+                let out = out.add(lane * pixels + self.pixel);
+                let of = |pixel: usize| {
+                    _mm512_mul_ps(_mm512_cvtepi32_ps(sums[pixel.min(PIXELS - 1)]), factors)
+                };
+                for first in (0..PIXELS).step_by(4) {
+                    // From sixteen lanes of four pixels to four pixels of sixteen lanes: 128-bit lane `l` of `four[k]`
+                    // is lane `4 l + k`.
+                    let (a, b) = (of(first), of(first + 1));
+                    let (c, d) = (of(first + 2), of(first + 3));
+                    let (ab, ab2) = (_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+                    let (cd, cd2) = (_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
+                    let four = [
+                        _mm512_shuffle_ps::<0b01_00_01_00>(ab, cd),
+                        _mm512_shuffle_ps::<0b11_10_11_10>(ab, cd),
+                        _mm512_shuffle_ps::<0b01_00_01_00>(ab2, cd2),
+                        _mm512_shuffle_ps::<0b11_10_11_10>(ab2, cd2),
+                    ];
+                    let mask = if PIXELS > 1 { 0b1111 } else { 1 };
+                    for (k, lanes) in four.into_iter().enumerate() {
+                        let at = |l: usize| out.add((4 * l + k) * pixels + first);
+                        _mm_mask_storeu_ps(at(0), mask, _mm512_castps512_ps128(lanes));
+                        _mm_mask_storeu_ps(at(1), mask, _mm512_extractf32x4_ps::<1>(lanes));
+                        _mm_mask_storeu_ps(at(2), mask, _mm512_extractf32x4_ps::<2>(lanes));
+                        _mm_mask_storeu_ps(at(3), mask, _mm512_extractf32x4_ps::<3>(lanes));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Covers a row with tiles of `$most` pixels, then of four (the last one moved back onto pixels already done), or, in
+/// a row shorter than that, of one.
+macro_rules! tiles {
+    ($tile:ident, $blocks:literal, $most:literal, $method:ident($($argument:expr),*)) => {{
+        let pixels = $tile.row.pixels;
+        let mut pixel = 0;
+        while pixel + $most <= pixels {
+            $tile.pixel = pixel;
+            $tile.$method::<$blocks, $most>($($argument),*);
+            pixel += $most;
+        }
+        while pixel < pixels && pixels >= 4 {
+            $tile.pixel = pixel.min(pixels - 4);
+            $tile.$method::<$blocks, 4>($($argument),*);
+            pixel += 4;
+        }
+        while pixel < pixels {
+            $tile.pixel = pixel;
+            $tile.$method::<$blocks, 1>($($argument),*);
+            pixel += 1;
+        }
+    }};
+}
+
+/// Covers all channels of a row.
+macro_rules! channels {
+    ($dense:ident, $row:ident, $method:ident($($argument:expr),*)) => {{
+        let mut tile = Tile { dense: $dense, row: $row, lane: 0, weights: $dense.weights.as_ptr(), pixel: 0 };
+        for group in groups($dense.blocks) {
+            // SAFETY: `Dense::check` held; `Dense::new` packed as many starts, factors and weights as the groups have;
+            // the caller of this function checked that `out` has room.
+            unsafe {
+                match group {
+                    1 => tiles!(tile, 1, 16, $method($($argument),*)),
+                    2 => tiles!(tile, 2, 8, $method($($argument),*)),
+                    3 => tiles!(tile, 3, 8, $method($($argument),*)),
+                    _ => tiles!(tile, 4, 4, $method($($argument),*)),
+                }
+                tile.weights = tile.weights.add(group * BLOCK * $dense.runs * $dense.run);
+            }
+            tile.lane += group * BLOCK;
+        }
+    }};
+}
+
+/// # Safety
+/// The processor has AVX-512 F, BW, VL and VNNI.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+pub(super) unsafe fn dense_bytes(
+    dense: &Dense,
+    row: &Row<'_>,
+    to: &ToBytes,
+    out: &mut [u8],
+    pitch: usize,
+) {
+    let limits = Limits::new(to);
+    let out = out.as_mut_ptr();
+    channels!(dense, row, bytes(limits, out, pitch));
+}
+
+/// # Safety
+/// As [`dense_bytes`].
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+pub(super) unsafe fn dense_floats(dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
+    let out = out.as_mut_ptr();
+    channels!(dense, row, floats(out));
+}
+
+/// Weights of a depthwise convolution for `vpdpbusd`: four rows of taps are the four bytes of a lane.
+///
+/// Unpacking four rows of 64 channels byte by byte leaves, in register `j` and 128-bit lane `l`, the channels
+/// `16 l + 4 j` to `+ 3`; weights, starts and factors come in that order, and packing the results undoes it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Interleaved {
+    /// `[64 channels][4 rows][column][register][lane][row]`.
+    weights: Vec<i8>,
+    /// `[64 channels][register][lane]`.
+    starts: Vec<i32>,
+    factors: Vec<f32>,
+}
+
+impl Interleaved {
+    pub(super) fn new(depthwise: &Depthwise) -> Self {
+        let Depthwise {
+            pitch,
+            rows,
+            columns,
+            ..
+        } = *depthwise;
+        let mut packed = Self::default();
+        let order = |lane: usize| (lane / 16 * 4) + (lane % 16 / 4 * 16) + lane % 4;
+        for first in (0..pitch).step_by(WIDE) {
+            let channels =
+                (0..WIDE).map(|lane| Some(first + order(lane)).filter(|&channel| channel < pitch));
+            for top in (0..rows).step_by(TALL) {
+                for column in 0..columns {
+                    for channel in channels.clone() {
+                        for row in top..top + TALL {
+                            let weight = channel.filter(|_| row < rows);
+                            packed.weights.push(weight.map_or(0, |c| {
+                                depthwise.weights[(row * columns + column) * pitch + c]
+                            }));
+                        }
+                    }
+                }
+            }
+            packed.starts.extend(
+                channels
+                    .clone()
+                    .map(|c| c.map_or(0, |c| depthwise.starts[c])),
+            );
+            packed
+                .factors
+                .extend(channels.map(|c| c.map_or(0.0, |c| depthwise.factors[c])));
+        }
+        packed
+    }
+}
+
+/// Where a tile of a depthwise convolution starts.
+#[derive(Clone, Copy)]
+struct Strip<'a> {
+    depthwise: &'a Depthwise,
+    row: &'a Row<'a>,
+    /// First of the 64 channels, and those of them that exist.
+    channel: usize,
+    mask: __mmask64,
+    pixel: usize,
+    limits: Limits,
+    out: *mut u8,
+}
+
+impl Strip<'_> {
+    /// Up to four rows of one column of input, `rows[row][16 l + 4 j + i]` at byte `row` of lane `4 l + i` of register
+    /// `j`.
+    ///
+    /// # Safety
+    /// The first `count` of `rows` point to 64 bytes of input, or as many as the mask says.
+    #[target_feature(enable = "avx512f,avx512bw")]
+    #[inline]
+    unsafe fn column(&self, rows: [*const u8; TALL], count: usize) -> [__m512i; 4] {
+        let mut bytes = [_mm512_setzero_si512(); TALL];
+        for (bytes, row) in bytes.iter_mut().zip(rows).take(count) {
+            // SAFETY: as this function's; bytes that are masked out are not touched.
+            *bytes = unsafe { _mm512_maskz_loadu_epi8(self.mask, row.cast()) };
+        }
+        let (low, high) = (
+            _mm512_unpacklo_epi8(bytes[0], bytes[1]),
+            _mm512_unpackhi_epi8(bytes[0], bytes[1]),
+        );
+        let (low2, high2) = (
+            _mm512_unpacklo_epi8(bytes[2], bytes[3]),
+            _mm512_unpackhi_epi8(bytes[2], bytes[3]),
+        );
+        [
+            _mm512_unpacklo_epi16(low, low2),
+            _mm512_unpackhi_epi16(low, low2),
+            _mm512_unpacklo_epi16(high, high2),
+            _mm512_unpackhi_epi16(high, high2),
+        ]
+    }
+
+    /// `PIXELS` pixels of a kernel of `ROWS x COLUMNS` without dilation that moves by `STRIDE`.
+    ///
+    /// # Safety
+    /// The row passed `Depthwise::check`, has `ROWS * COLUMNS` taps at regular distances and `PIXELS` pixels from
+    /// `pixel` on, and `out` has room for them.
+    #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+    #[inline]
+    unsafe fn run<
+        const ROWS: usize,
+        const COLUMNS: usize,
+        const STRIDE: usize,
+        const PIXELS: usize,
+    >(
+        &self,
+    ) {
+        let Depthwise {
+            pitch, interleaved, ..
+        } = self.depthwise;
+        let block = self.channel / WIDE;
+        // SAFETY: `Interleaved::new` packed as many for every 64 channels.
+        let (weights, starts, factors) = unsafe {
+            (
+                interleaved
+                    .weights
+                    .as_ptr()
+                    .add(block * ROWS.div_ceil(TALL) * COLUMNS * TALL * WIDE),
+                interleaved.starts.as_ptr().add(self.channel),
+                interleaved.factors.as_ptr().add(self.channel),
+            )
+        };
+        let mut sums = [[_mm512_setzero_si512(); 4]; PIXELS];
+        for j in 0..4 {
+            // SAFETY: four vectors of starts for every 64 channels.
+            let start = unsafe { _mm512_loadu_si512(starts.add(j * BLOCK).cast()) };
+            for sums in &mut sums {
+                sums[j] = start;
+            }
+        }
+        let start = self.row.base + self.pixel * self.row.step + self.channel;
+        for top in (0..ROWS).step_by(TALL) {
+            let count = TALL.min(ROWS - top);
+            for column in 0..(PIXELS - 1) * STRIDE + COLUMNS {
+                // SAFETY: pixel by pixel along the row: each is the tap of some output pixel of the tile, and so in the
+                // input; rows of taps that do not exist are not read.
+                let bytes = unsafe {
+                    let at = self.row.input.as_ptr().add(start + column * pitch);
+                    let row = |number: usize| {
+                        at.add(self.row.runs[(top + number).min(ROWS - 1) * COLUMNS])
+                    };
+                    self.column([row(0), row(1), row(2), row(3)], count)
+                };
+                for (pixel, sums) in sums.iter_mut().enumerate() {
+                    let Some(tap) = column
+                        .checked_sub(pixel * STRIDE)
+                        .filter(|&tap| tap < COLUMNS)
+                    else {
+                        continue;
+                    };
+                    for j in 0..4 {
+                        // SAFETY: four vectors of weights for each column of four rows.
+                        let weights = unsafe {
+                            let at = weights.add(((top / TALL * COLUMNS + tap) * 4 + j) * WIDE);
+                            _mm512_loadu_si512(at.cast())
+                        };
+                        sums[j] = _mm512_dpbusd_epi32(sums[j], bytes[j], weights);
+                    }
+                }
+            }
+        }
+        for (pixel, sums) in sums.iter().enumerate() {
+            // SAFETY: four vectors of factors for every 64 channels; `out` has room, and no byte that is masked out is
+            // touched.
+            unsafe {
+                let of = |j: usize| scaled(sums[j], _mm512_loadu_ps(factors.add(j * BLOCK)));
+                let bytes = self.limits.pack([of(0), of(1), of(2), of(3)]);
+                let out = self.out.add((self.pixel + pixel) * pitch + self.channel);
+                _mm512_mask_storeu_epi8(out.cast(), self.mask, bytes);
+            }
+        }
+    }
+
+    /// A row of 64 channels, in tiles of four pixels, the last one moved back onto pixels already done.
+    ///
+    /// # Safety
+    /// As [`Strip::run`], for the whole row.
+    #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+    unsafe fn row<const ROWS: usize, const COLUMNS: usize, const STRIDE: usize>(&mut self) {
+        let pixels = self.row.pixels;
+        // SAFETY: all tiles lie in the row.
+        unsafe {
+            if pixels < 4 {
+                for pixel in 0..pixels {
+                    self.pixel = pixel;
+                    self.run::<ROWS, COLUMNS, STRIDE, 1>();
+                }
+                return;
+            }
+            for pixel in (0..pixels).step_by(4) {
+                self.pixel = pixel.min(pixels - 4);
+                self.run::<ROWS, COLUMNS, STRIDE, 4>();
+            }
+        }
+    }
+}
+
+/// # Safety
+/// As [`dense_bytes`].
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+pub(super) unsafe fn depthwise(depthwise: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
+    let Depthwise {
+        pitch,
+        rows,
+        columns,
+        ..
+    } = *depthwise;
+    // Without dilation neighbouring taps are neighbouring pixels.
+    let close = columns == 1 || row.runs[1] - row.runs[0] == pitch;
+    let stride = row.step / pitch;
+    let mut strip = Strip {
+        depthwise,
+        row,
+        channel: 0,
+        mask: 0,
+        pixel: 0,
+        limits: Limits::new(to),
+        out: out.as_mut_ptr(),
+    };
+    if !close || !matches!((rows, columns, stride), (3, 3, 1 | 2) | (5, 5, 1 | 2)) {
+        // SAFETY: every processor with AVX-512 has AVX2.
+        return unsafe { avx2::depthwise(depthwise, row, to, out) };
+    }
+    for channel in (0..pitch).step_by(WIDE) {
+        strip.channel = channel;
+        strip.mask = u64::MAX >> (WIDE - WIDE.min(pitch - channel));
+        // SAFETY: the caller checked the row; kernel and stride are the row's own.
+        unsafe {
+            match (rows, stride) {
+                (3, 1) => strip.row::<3, 3, 1>(),
+                (3, _) => strip.row::<3, 3, 2>(),
+                (_, 1) => strip.row::<5, 5, 1>(),
+                _ => strip.row::<5, 5, 2>(),
+            }
+        }
+    }
+}
+
+/// # Safety
+/// As [`dense_bytes`]; the three slices are of one length.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+pub(super) unsafe fn add(addition: &Addition, one: &[u8], other: &[u8], out: &mut [u8]) {
+    let limits = Limits::new(&addition.to);
+    let zeros = addition
+        .zeros
+        .map(|zero| _mm512_set1_epi32(i32::from(zero)));
+    let factors = addition.factors.map(|factor| _mm512_set1_ps(factor));
+    // After packing, register j holds the bytes 4 j to 4 j + 3 of each 16.
+    let order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+    let whole = out.len() / 64 * 64;
+    for at in (0..whole).step_by(64) {
+        let part = |input: usize, bytes: &[u8], quarter: usize| {
+            // SAFETY: 16 of the 64 bytes from `at` on.
+            let bytes = unsafe { _mm_loadu_si128(bytes.as_ptr().add(at + 16 * quarter).cast()) };
+            let value =
+                _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_cvtepu8_epi32(bytes), zeros[input]));
+            _mm512_mul_ps(value, factors[input])
+        };
+        let sum = |quarter: usize| {
+            let sum = _mm512_add_ps(part(0, one, quarter), part(1, other, quarter));
+            _mm512_cvt_roundps_epi32::<NEAREST>(sum)
+        };
+        let bytes = _mm512_permutexvar_epi32(order, limits.pack([sum(0), sum(1), sum(2), sum(3)]));
+        // SAFETY: 64 bytes from `at` on.
+        unsafe { _mm512_storeu_si512(out.as_mut_ptr().add(at).cast(), bytes) };
+    }
+    portable::add(addition, &one[whole..], &other[whole..], &mut out[whole..]);
+}
+
+/// # Safety
+/// As [`dense_bytes`]; each plane has a fourth of `out`'s length.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+pub(super) unsafe fn quantize_four(planes: &[&[f32]], scale: f32, zero: u8, out: &mut [u8]) {
+    let divisor = _mm512_set1_ps(scale);
+    // Before the zero point is added; the comparisons also send NaN to the lower bound.
+    let (low, high) = (
+        _mm512_set1_ps(-f32::from(zero)),
+        _mm512_set1_ps(255.0 - f32::from(zero)),
+    );
+    let zeros = _mm512_set1_epi32(i32::from(zero));
+    let whole = out.len() / 64 * 64;
+    for at in (0..whole).step_by(64) {
+        let mut pixels = _mm512_setzero_si512();
+        for channel in (0..4).rev() {
+            let bytes = match planes.get(channel) {
+                // SAFETY: 16 values from the first of these pixels on.
+                Some(plane) => unsafe {
+                    let value = _mm512_div_ps(_mm512_loadu_ps(plane.as_ptr().add(at / 4)), divisor);
+                    let value = _mm512_min_ps(_mm512_max_ps(value, low), high);
+                    _mm512_add_epi32(_mm512_cvt_roundps_epi32::<NEAREST>(value), zeros)
+                },
+                None => zeros,
+            };
+            pixels = _mm512_or_si512(_mm512_slli_epi32::<8>(pixels), bytes);
+        }
+        // SAFETY: 64 bytes from `at` on.
+        unsafe { _mm512_storeu_si512(out.as_mut_ptr().add(at).cast(), pixels) };
+    }
+    let mut rest: [&[f32]; 4] = [&[]; 4];
+    for (rest, plane) in rest.iter_mut().zip(planes) {
+        *rest = &plane[whole / 4..];
+    }
+    portable::quantize_four(&rest[..planes.len()], scale, zero, &mut out[whole..]);
+}

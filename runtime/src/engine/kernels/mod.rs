@@ -1,0 +1,317 @@
+//! The inner loops: one file per instruction set, one meaning (that of [`super::layer`]), the same bytes from each.
+//!
+//! Layout: a tensor is rows of pixels, each pixel `pitch` bytes: its channels, then bytes without meaning up to a
+//! multiple of 16 (of 4 for a tensor of at most four channels that enters from f32). Rows carry a border of pixels that
+//! hold the zero point, so that no kernel asks where the picture ends.
+//!
+//! Convolution weights are packed for instructions that multiply four neighbouring bytes of input with four of weights
+//! and add to a 32-bit lane (`vpdpbusd`): output channels in blocks of 16 lanes, blocks in groups of at most four that
+//! share what is loaded, input in runs of consecutive bytes, `[group][run][4 bytes of it][block][lane][byte]`.
+//!
+//! # Panics
+//! Each kernel checks once per row that its slices hold what the geometry says, and panics otherwise. The schedule makes
+//! geometry and slices from the same shapes, so no model and no picture can bring that about.
+
+use std::ops::RangeInclusive;
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512vnni;
+mod portable;
+
+pub(crate) use portable::{
+    Halves, average_row, concat_row, copy_row, dequantize_row, max_row, multiply_row, quantize_row,
+    resize_row, table_row,
+};
+
+/// Lanes of a block of output channels.
+pub(crate) const BLOCK: usize = 16;
+/// Most blocks of a group.
+const GROUP: usize = 4;
+
+/// An instruction set that the engine has kernels for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kernel {
+    /// Plain Rust, any processor.
+    Portable,
+    /// x86-64 with AVX2.
+    Avx2,
+    /// x86-64 with AVX-512 F, BW, VL and VNNI.
+    Avx512Vnni,
+}
+
+impl Kernel {
+    /// All of them, the fastest last.
+    pub const ALL: [Kernel; 3] = [Kernel::Portable, Kernel::Avx2, Kernel::Avx512Vnni];
+
+    /// The fastest that this processor has.
+    pub fn best() -> Self {
+        Self::ALL
+            .into_iter()
+            .rev()
+            .find(|kernel| kernel.is_supported())
+            .unwrap_or(Kernel::Portable)
+    }
+
+    /// Whether this processor has it.
+    pub fn is_supported(self) -> bool {
+        match self {
+            Kernel::Portable => true,
+            #[cfg(target_arch = "x86_64")]
+            Kernel::Avx2 => std::arch::is_x86_feature_detected!("avx2"),
+            #[cfg(target_arch = "x86_64")]
+            Kernel::Avx512Vnni => {
+                std::arch::is_x86_feature_detected!("avx512f")
+                    && std::arch::is_x86_feature_detected!("avx512bw")
+                    && std::arch::is_x86_feature_detected!("avx512vl")
+                    && std::arch::is_x86_feature_detected!("avx512vnni")
+            }
+            #[cfg(not(target_arch = "x86_64"))]
+            _ => false,
+        }
+    }
+}
+
+/// How accumulators become bytes.
+#[derive(Clone, Debug)]
+pub(crate) struct ToBytes {
+    /// The zero point of the output.
+    pub(crate) zero: u8,
+    /// What the bytes may be.
+    pub(crate) range: RangeInclusive<u8>,
+}
+
+/// Weights of a dense convolution, packed, with start and factor of each output channel.
+#[derive(Clone, Debug)]
+pub(crate) struct Dense {
+    /// Number of output channels, padded to whole blocks.
+    blocks: usize,
+    /// Runs of input bytes per output pixel.
+    runs: usize,
+    /// Bytes of a run, a multiple of four.
+    run: usize,
+    weights: Vec<i8>,
+    starts: Vec<i32>,
+    factors: Vec<f32>,
+}
+
+impl Dense {
+    /// Packs `weight(output, run, byte)`.
+    pub(crate) fn new(
+        outputs: usize,
+        runs: usize,
+        run: usize,
+        starts: &[i32],
+        factors: &[f32],
+        weight: impl Fn(usize, usize, usize) -> i8,
+    ) -> Self {
+        let blocks = outputs.div_ceil(BLOCK);
+        let mut weights = Vec::with_capacity(blocks * BLOCK * runs * run);
+        let mut first = 0;
+        for group in groups(blocks) {
+            for number in 0..runs {
+                for quad in (0..run).step_by(4) {
+                    for output in first * BLOCK..(first + group) * BLOCK {
+                        for byte in quad..quad + 4 {
+                            weights.push(if output < outputs {
+                                weight(output, number, byte)
+                            } else {
+                                0
+                            });
+                        }
+                    }
+                }
+            }
+            first += group;
+        }
+        let padded = |length| length - outputs;
+        let mut starts = starts.to_vec();
+        starts.extend(std::iter::repeat_n(0, padded(blocks * BLOCK)));
+        let mut factors = factors.to_vec();
+        factors.extend(std::iter::repeat_n(0.0, padded(blocks * BLOCK)));
+        Self {
+            blocks,
+            runs,
+            run,
+            weights,
+            starts,
+            factors,
+        }
+    }
+
+    /// Output channels, padded to whole blocks.
+    pub(crate) fn lanes(&self) -> usize {
+        self.blocks * BLOCK
+    }
+
+    fn check(&self, row: &Row<'_>) {
+        let last = row.runs.iter().max().map_or(0, |run| row.base + run)
+            + (row.pixels.max(1) - 1) * row.step
+            + self.run;
+        assert!(row.runs.len() == self.runs && last <= row.input.len());
+    }
+}
+
+/// Sizes of the groups of blocks: as few and as even as can be.
+fn groups(blocks: usize) -> impl Iterator<Item = usize> {
+    let count = blocks.div_ceil(GROUP).max(1);
+    (0..count).map(move |group| blocks / count + usize::from(group < blocks % count))
+}
+
+/// One row of output pixels and where its input lies.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Row<'a> {
+    /// The whole input tensor.
+    pub(crate) input: &'a [u8],
+    /// Where in it the first output pixel's first tap is.
+    pub(crate) base: usize,
+    /// From there to each run (dense) or tap (depthwise).
+    pub(crate) runs: &'a [usize],
+    /// Input bytes from one output pixel to the next.
+    pub(crate) step: usize,
+    /// Output pixels.
+    pub(crate) pixels: usize,
+}
+
+/// Weights of a depthwise convolution, with start and factor of each channel.
+#[derive(Clone, Debug)]
+pub(crate) struct Depthwise {
+    /// Bytes of a pixel of input and output: channels padded to a multiple of 16.
+    pitch: usize,
+    rows: usize,
+    columns: usize,
+    /// `[row][column][pitch]`.
+    weights: Vec<i8>,
+    starts: Vec<i32>,
+    factors: Vec<f32>,
+    /// As the AVX-512 kernel wants them; empty for others.
+    #[cfg(target_arch = "x86_64")]
+    interleaved: avx512vnni::Interleaved,
+}
+
+impl Depthwise {
+    /// Packs `filters`, `[channel][row][column]`.
+    pub(crate) fn new(
+        kernel: Kernel,
+        pitch: usize,
+        [rows, columns]: [usize; 2],
+        filters: &[i8],
+        starts: &[i32],
+        factors: &[f32],
+    ) -> Self {
+        let taps = rows * columns;
+        let mut weights = vec![0; taps * pitch];
+        for (channel, filter) in filters.chunks_exact(taps).enumerate() {
+            for (tap, &weight) in filter.iter().enumerate() {
+                weights[tap * pitch + channel] = weight;
+            }
+        }
+        let (mut starts, mut factors) = (starts.to_vec(), factors.to_vec());
+        starts.resize(pitch, 0);
+        factors.resize(pitch, 0.0);
+        let mut packed = Self {
+            pitch,
+            rows,
+            columns,
+            weights,
+            starts,
+            factors,
+            #[cfg(target_arch = "x86_64")]
+            interleaved: avx512vnni::Interleaved::default(),
+        };
+        #[cfg(target_arch = "x86_64")]
+        if kernel == Kernel::Avx512Vnni {
+            packed.interleaved = avx512vnni::Interleaved::new(&packed);
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        let _ = (kernel, &mut packed);
+        packed
+    }
+
+    fn check(&self, row: &Row<'_>, out: &[u8]) {
+        let last = row.runs.iter().max().map_or(0, |run| row.base + run)
+            + (row.pixels.max(1) - 1) * row.step
+            + self.pitch;
+        assert!(row.runs.len() == self.rows * self.columns && last <= row.input.len());
+        assert!(row.pixels * self.pitch <= out.len());
+    }
+}
+
+/// Quantizations of an addition.
+#[derive(Clone, Debug)]
+pub(crate) struct Addition {
+    /// Zero points of the two.
+    pub(crate) zeros: [u8; 2],
+    /// Scales of the two, over that of the sum.
+    pub(crate) factors: [f32; 2],
+    /// What becomes of the sum.
+    pub(crate) to: ToBytes,
+}
+
+macro_rules! dispatch {
+    ($kernel:expr, $function:ident($($argument:expr),*)) => {
+        match $kernel {
+            Kernel::Portable => portable::$function($($argument),*),
+            #[cfg(target_arch = "x86_64")]
+            Kernel::Avx2 => {
+                // SAFETY: an engine is built only with kernels that `is_supported` found on this processor.
+                unsafe { avx2::$function($($argument),*) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Kernel::Avx512Vnni => {
+                // SAFETY: as above.
+                unsafe { avx512vnni::$function($($argument),*) }
+            }
+            #[cfg(not(target_arch = "x86_64"))]
+            _ => portable::$function($($argument),*),
+        }
+    };
+}
+
+impl Kernel {
+    /// A row of a dense convolution as bytes, pixels `pitch` apart.
+    pub(crate) fn dense_bytes(
+        self,
+        dense: &Dense,
+        row: &Row<'_>,
+        to: &ToBytes,
+        out: &mut [u8],
+        pitch: usize,
+    ) {
+        dense.check(row);
+        assert!(row.pixels * pitch <= out.len() && dense.lanes() <= pitch);
+        dispatch!(self, dense_bytes(dense, row, to, out, pitch));
+    }
+
+    /// A row of a dense convolution as f32, `[lanes][pixels]`.
+    pub(crate) fn dense_floats(self, dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
+        dense.check(row);
+        assert!(row.pixels * dense.lanes() <= out.len());
+        dispatch!(self, dense_floats(dense, row, out));
+    }
+
+    /// A row of a depthwise convolution.
+    pub(crate) fn depthwise(
+        self,
+        depthwise: &Depthwise,
+        row: &Row<'_>,
+        to: &ToBytes,
+        out: &mut [u8],
+    ) {
+        depthwise.check(row, out);
+        dispatch!(self, depthwise(depthwise, row, to, out));
+    }
+
+    /// The sum of two rows.
+    pub(crate) fn add(self, addition: &Addition, one: &[u8], other: &[u8], out: &mut [u8]) {
+        assert!(one.len() == out.len() && other.len() == out.len());
+        dispatch!(self, add(addition, one, other, out));
+    }
+
+    /// A row of up to four planes of f32 as pixels of four bytes.
+    pub(crate) fn quantize_four(self, planes: &[&[f32]], scale: f32, zero: u8, out: &mut [u8]) {
+        assert!(planes.len() <= 4 && planes.iter().all(|plane| plane.len() * 4 == out.len()));
+        dispatch!(self, quantize_four(planes, scale, zero, out));
+    }
+}

@@ -1,0 +1,273 @@
+//! Every kernel in plain Rust: for processors without one of their own, and for the layers that need no other.
+
+use std::ops::Range;
+
+use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, groups};
+use crate::engine::layer::{Between, Quantization, saturate};
+
+/// Accumulators of one block of one pixel.
+fn accumulate(
+    dense: &Dense,
+    row: &Row<'_>,
+    pixel: usize,
+    starts: &[i32],
+    weights: &[i8],
+    group: usize,
+) -> [i32; BLOCK] {
+    let mut sums = [0; BLOCK];
+    sums.copy_from_slice(starts);
+    let mut quads = weights.chunks_exact(4 * BLOCK).step_by(group);
+    for run in row.runs {
+        let input = &row.input[row.base + run + pixel * row.step..][..dense.run];
+        for (bytes, weights) in input.chunks_exact(4).zip(&mut quads) {
+            for (sum, weights) in sums.iter_mut().zip(weights.chunks_exact(4)) {
+                for (&byte, &weight) in bytes.iter().zip(weights) {
+                    *sum = sum.wrapping_add(i32::from(byte) * i32::from(weight));
+                }
+            }
+        }
+    }
+    sums
+}
+
+/// Calls `store(pixel, lanes, accumulators)` for every block of every pixel.
+fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, Range<usize>, &[i32; BLOCK])) {
+    let mut first = 0;
+    let mut weights = dense.weights.as_slice();
+    for group in groups(dense.blocks) {
+        for block in 0..group {
+            let lanes = (first + block) * BLOCK..(first + block + 1) * BLOCK;
+            for pixel in 0..row.pixels {
+                let sums = accumulate(
+                    dense,
+                    row,
+                    pixel,
+                    &dense.starts[lanes.clone()],
+                    &weights[block * 4 * BLOCK..],
+                    group,
+                );
+                store(pixel, lanes.clone(), &sums);
+            }
+        }
+        weights = &weights[group * BLOCK * dense.runs * dense.run..];
+        first += group;
+    }
+}
+
+pub(super) fn dense_bytes(
+    packed: &Dense,
+    row: &Row<'_>,
+    to: &ToBytes,
+    out: &mut [u8],
+    pitch: usize,
+) {
+    dense(packed, row, |pixel, lanes, sums| {
+        let out = &mut out[pixel * pitch..][lanes.clone()];
+        for ((out, &sum), factor) in out.iter_mut().zip(sums).zip(&packed.factors[lanes]) {
+            *out = saturate(sum as f32 * factor, to.zero, &to.range);
+        }
+    });
+}
+
+pub(super) fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
+    dense(packed, row, |pixel, lanes, sums| {
+        for ((lane, &sum), factor) in lanes.clone().zip(sums).zip(&packed.factors[lanes]) {
+            out[lane * row.pixels + pixel] = sum as f32 * factor;
+        }
+    });
+}
+
+pub(super) fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
+    for (pixel, out) in out
+        .chunks_exact_mut(packed.pitch)
+        .take(row.pixels)
+        .enumerate()
+    {
+        for first in (0..packed.pitch).step_by(BLOCK) {
+            let mut sums = [0; BLOCK];
+            sums.copy_from_slice(&packed.starts[first..][..BLOCK]);
+            for (tap, run) in row.runs.iter().enumerate() {
+                let input = &row.input[row.base + run + pixel * row.step + first..][..BLOCK];
+                let weights = &packed.weights[tap * packed.pitch + first..][..BLOCK];
+                for ((sum, &byte), &weight) in sums.iter_mut().zip(input).zip(weights) {
+                    *sum = sum.wrapping_add(i32::from(byte) * i32::from(weight));
+                }
+            }
+            for ((out, sum), factor) in out[first..]
+                .iter_mut()
+                .zip(sums)
+                .zip(&packed.factors[first..])
+            {
+                *out = saturate(sum as f32 * factor, to.zero, &to.range);
+            }
+        }
+    }
+}
+
+pub(super) fn add(addition: &Addition, one: &[u8], other: &[u8], out: &mut [u8]) {
+    let part = |byte: u8, input: usize| {
+        (i32::from(byte) - i32::from(addition.zeros[input])) as f32 * addition.factors[input]
+    };
+    for ((out, &one), &other) in out.iter_mut().zip(one).zip(other) {
+        *out = saturate(
+            part(one, 0) + part(other, 1),
+            addition.to.zero,
+            &addition.to.range,
+        );
+    }
+}
+
+pub(super) fn quantize_four(planes: &[&[f32]], scale: f32, zero: u8, out: &mut [u8]) {
+    quantize_row(
+        |channel| planes[channel],
+        planes.len(),
+        Quantization { scale, zero },
+        out,
+        4,
+    );
+}
+
+/// A row of planes of f32 as pixels of any pitch.
+pub(crate) fn quantize_row<'a>(
+    plane: impl Fn(usize) -> &'a [f32],
+    channels: usize,
+    quantization: Quantization,
+    out: &mut [u8],
+    pitch: usize,
+) {
+    out.fill(quantization.zero);
+    for channel in 0..channels {
+        for (pixel, &value) in out.chunks_exact_mut(pitch).zip(plane(channel)) {
+            pixel[channel] = quantization.byte(value);
+        }
+    }
+}
+
+/// One channel of a row of pixels as f32.
+pub(crate) fn dequantize_row(
+    input: &[u8],
+    channel: usize,
+    pitch: usize,
+    quantization: Quantization,
+    out: &mut [f32],
+) {
+    for (out, pixel) in out.iter_mut().zip(input.chunks_exact(pitch)) {
+        *out = quantization.real(pixel[channel]);
+    }
+}
+
+/// A function of every byte.
+pub(crate) fn table_row(table: &[u8; 256], input: &[u8], out: &mut [u8]) {
+    for (out, &byte) in out.iter_mut().zip(input) {
+        *out = table[usize::from(byte)];
+    }
+}
+
+/// The product of two rows.
+pub(crate) fn multiply_row(
+    zeros: [u8; 2],
+    factor: f32,
+    to: &ToBytes,
+    one: &[u8],
+    other: &[u8],
+    out: &mut [u8],
+) {
+    for ((out, &one), &other) in out.iter_mut().zip(one).zip(other) {
+        let product =
+            (i32::from(one) - i32::from(zeros[0])) * (i32::from(other) - i32::from(zeros[1]));
+        *out = saturate(product as f32 * factor, to.zero, &to.range);
+    }
+}
+
+/// Puts a row's channels at `first` of each pixel of `out`, through a table.
+pub(crate) fn concat_row(
+    table: &[u8; 256],
+    input: &[u8],
+    channels: usize,
+    pitches: [usize; 2],
+    first: usize,
+    out: &mut [u8],
+) {
+    for (pixel, out) in input
+        .chunks_exact(pitches[0])
+        .zip(out.chunks_exact_mut(pitches[1]))
+    {
+        table_row(table, &pixel[..channels], &mut out[first..][..channels]);
+    }
+}
+
+/// Two input rows and the weight of the second.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Halves<'a> {
+    pub(crate) rows: [&'a [u8]; 2],
+    pub(crate) weight: f32,
+}
+
+/// A row of a resize to nearest pixels of a multiple of 16 bytes.
+pub(crate) fn copy_row(input: &[u8], columns: &[Between], pitch: usize, out: &mut [u8]) {
+    for (column, out) in columns.iter().zip(out.chunks_exact_mut(pitch)) {
+        // Sixteen at a time: a length that the compiler knows is a load and a store instead of a call.
+        let (input, _) = input[column.first * pitch..][..pitch].as_chunks::<16>();
+        let (out, _) = out.as_chunks_mut::<16>();
+        for (out, input) in out.iter_mut().zip(input) {
+            *out = *input;
+        }
+    }
+}
+
+/// A row of a bilinear resize.
+pub(crate) fn resize_row(
+    halves: Halves<'_>,
+    columns: &[Between],
+    pitch: usize,
+    zero: u8,
+    factor: f32,
+    to: &ToBytes,
+    out: &mut [u8],
+) {
+    for (column, out) in columns.iter().zip(out.chunks_exact_mut(pitch)) {
+        let pixel = |row: usize, at: usize| &halves.rows[row][at * pitch..][..pitch];
+        let corners = [
+            [pixel(0, column.first), pixel(0, column.second)],
+            [pixel(1, column.first), pixel(1, column.second)],
+        ];
+        for (channel, out) in out.iter_mut().enumerate() {
+            let value = |row: usize, side: usize| {
+                (i32::from(corners[row][side][channel]) - i32::from(zero)) as f32
+            };
+            let along = |row| value(row, 0) * (1.0 - column.weight) + value(row, 1) * column.weight;
+            let between = along(0) * (1.0 - halves.weight) + along(1) * halves.weight;
+            *out = saturate(between * factor, to.zero, &to.range);
+        }
+    }
+}
+
+/// Greatest bytes of some pixels, through a table.
+pub(crate) fn max_row<'a>(taps: impl Iterator<Item = &'a [u8]>, table: &[u8; 256], out: &mut [u8]) {
+    out.fill(0);
+    for pixel in taps {
+        for (out, &byte) in out.iter_mut().zip(pixel) {
+            *out = (*out).max(byte);
+        }
+    }
+    for out in out {
+        *out = table[usize::from(*out)];
+    }
+}
+
+/// Sums of some pixels, times `factor`: the change of scale over their number.
+pub(crate) fn average_row<'a>(
+    taps: impl Iterator<Item = &'a [u8]> + Clone,
+    zero: u8,
+    factor: f32,
+    to: &ToBytes,
+    out: &mut [u8],
+) {
+    for (channel, out) in out.iter_mut().enumerate() {
+        let sum: i64 = taps
+            .clone()
+            .map(|pixel| i64::from(pixel[channel]) - i64::from(zero))
+            .sum();
+        *out = saturate(sum as f32 * factor, to.zero, &to.range);
+    }
+}

@@ -1,0 +1,415 @@
+//! The layers of an island and what each one means, exactly.
+//!
+//! Activations are bytes. A tensor that ONNX calls `int8` is kept as `q + 128` with its zero point moved likewise, so
+//! that every kernel sees unsigned activations and signed weights; the meaning is the same.
+//!
+//! Notation: `x` a byte, `z` its zero point, `s` its scale, real value `s (x - z)`; subscripts i (input), w (weight), o
+//! (output). `rne` rounds to the nearest integer, ties to even, as ONNX's QuantizeLinear does. All scale arithmetic is
+//! f32, in the order written here, one rounding per operation (nothing contracts to a fused multiply-add), so that every
+//! kernel on every machine gives the same bytes.
+//!
+//! - quantize: `rne(v / s_o) + z_o`, saturated.
+//! - convolution: 32-bit accumulator `a = sum w (x - z_i) + bias`, then `rne(a m) + z_o`, saturated to `[low, high]`,
+//!   `m = s_i s_w / s_o` per output channel. Padding counts as `x = z_i`. A result that leaves as f32 is `a (s_i s_w)`.
+//!   The bias is an integer in units of `s_i s_w`, the form in which ONNX Runtime writes it; a bias given in f32 is
+//!   rounded to that unit.
+//! - addition: `rne((x_1 - z_1) s_1/s_o + (x_2 - z_2) s_2/s_o) + z_o`.
+//! - multiplication: `rne((x_1 - z_1)(x_2 - z_2) (s_1 s_2 / s_o)) + z_o`.
+//! - anything of one byte (activation functions, a change of scale): a table of 256 bytes, filled by the formula in f32.
+//! - bilinear resize: `rne((interpolation of (x - z_i), along x first) s_i/s_o) + z_o`.
+//! - average: `rne(sum (x - z_i) (s_i / s_o / n)) + z_o`.
+//! - ReLU and Clip after any of these: `[low, high]`, since quantization is monotonic.
+
+use std::ops::RangeInclusive;
+
+/// Channels, height and width of a picture's tensor (one picture at a time).
+pub(crate) type Shape = [usize; 3];
+
+/// How bytes stand for real numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Quantization {
+    /// Real value of one step.
+    pub(crate) scale: f32,
+    /// The byte that stands for zero (already moved by 128 for `int8`).
+    pub(crate) zero: u8,
+}
+
+impl Quantization {
+    /// The real value of a byte.
+    pub(crate) fn real(self, byte: u8) -> f32 {
+        (i32::from(byte) - i32::from(self.zero)) as f32 * self.scale
+    }
+
+    /// The byte of a real value. NaN becomes the smallest byte.
+    pub(crate) fn byte(self, real: f32) -> u8 {
+        saturate(real / self.scale, self.zero, &(0..=255))
+    }
+}
+
+/// `rne(value) + zero`, saturated to a range of bytes. NaN becomes the smallest.
+pub(crate) fn saturate(value: f32, zero: u8, range: &RangeInclusive<u8>) -> u8 {
+    // A cast from f32 saturates; adding a byte to a saturated i32 must too.
+    let byte = (value.round_ties_even() as i32).saturating_add(i32::from(zero));
+    if value.is_nan() {
+        return *range.start();
+    }
+    byte.clamp(i32::from(*range.start()), i32::from(*range.end())) as u8
+}
+
+/// A byte tensor that a layer reads.
+#[derive(Clone, Debug)]
+pub(crate) struct Operand {
+    /// The tensor's name.
+    pub(crate) name: String,
+    /// How the layer reads its bytes.
+    pub(crate) quantization: Quantization,
+}
+
+/// What a layer writes.
+#[derive(Clone, Debug)]
+pub(crate) enum Form {
+    /// Bytes in `range`.
+    Bytes {
+        /// What they stand for.
+        quantization: Quantization,
+        /// What ReLU and Clip leave of 0 to 255.
+        range: RangeInclusive<u8>,
+    },
+    /// f32, in ONNX's planar layout, for whoever comes after the island.
+    Floats,
+}
+
+/// One layer of an island.
+#[derive(Clone, Debug)]
+pub(crate) struct Layer {
+    /// What it computes.
+    pub(crate) operation: Operation,
+    /// What it reads.
+    pub(crate) inputs: Vec<Operand>,
+    /// Name of the tensor that it writes.
+    pub(crate) output: String,
+    /// In which form.
+    pub(crate) form: Form,
+}
+
+/// What a layer computes.
+#[derive(Clone, Debug)]
+pub(crate) enum Operation {
+    /// Bytes of an f32 tensor from outside; the layer's input names it.
+    Quantize,
+    /// f32 of a byte tensor.
+    Dequantize,
+    /// Two-dimensional convolution.
+    Convolution(Convolution),
+    /// Sum of two tensors of one shape.
+    Add,
+    /// Product of two tensors of one shape.
+    Multiply,
+    /// Channels of several tensors, one after the other.
+    Concat,
+    /// A function of one byte.
+    Table(Box<[u8; 256]>),
+    /// Another height and width.
+    Resize(Resize),
+    /// The greatest byte under a window, through a table where the scale changes.
+    MaxPool(Window),
+    /// The mean under a window; padding counts where the flag says so.
+    AveragePool(Window, bool),
+    /// The mean of each channel.
+    GlobalAveragePool,
+}
+
+/// Where a window of a convolution or a pool stands. Pairs are (along the height, along the width).
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Window {
+    /// Rows and columns of taps.
+    pub(crate) kernel: [usize; 2],
+    /// Input pixels per output pixel.
+    pub(crate) strides: [usize; 2],
+    /// Input pixels from tap to tap.
+    pub(crate) dilations: [usize; 2],
+    /// Rows above, columns left, rows below, columns right.
+    pub(crate) padding: Padding,
+}
+
+/// How many rows and columns of padding.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Padding {
+    /// Above, left, below, right.
+    Explicit([usize; 4]),
+    /// As many as make `output = ceil(input / stride)`; the odd one at the end, or (true) at the beginning.
+    Same(bool),
+}
+
+impl Window {
+    /// Padding above and left, and height and width of the output.
+    pub(crate) fn place(&self, input: [usize; 2]) -> Result<([usize; 2], [usize; 2]), String> {
+        let mut before = [0; 2];
+        let mut output = [0; 2];
+        for axis in 0..2 {
+            let reach = (self.kernel[axis] - 1) * self.dilations[axis] + 1;
+            let padded = match &self.padding {
+                Padding::Explicit(pads) => {
+                    before[axis] = pads[axis];
+                    input[axis] + pads[axis] + pads[axis + 2]
+                }
+                Padding::Same(more_before) => {
+                    let outputs = input[axis].div_ceil(self.strides[axis]);
+                    let needed = outputs.saturating_sub(1) * self.strides[axis] + reach;
+                    let total = needed.saturating_sub(input[axis]);
+                    before[axis] = if *more_before {
+                        total.div_ceil(2)
+                    } else {
+                        total / 2
+                    };
+                    input[axis] + total
+                }
+            };
+            if padded < reach || before[axis] >= reach {
+                return Err(format!(
+                    "a window of {reach} does not fit {} pixels with {} of padding",
+                    input[axis], before[axis]
+                ));
+            }
+            output[axis] = (padded - reach) / self.strides[axis] + 1;
+        }
+        Ok((before, output))
+    }
+}
+
+/// A convolution. Grouped convolutions that are not depthwise are written out with zero weights.
+#[derive(Clone, Debug)]
+pub(crate) struct Convolution {
+    /// Every channel has its own filter, and there are as many outputs as inputs.
+    pub(crate) depthwise: bool,
+    /// Number of input channels.
+    pub(crate) inputs: usize,
+    /// Number of output channels.
+    pub(crate) outputs: usize,
+    /// `[outputs, inputs (1 if depthwise), kernel rows, kernel columns]`.
+    pub(crate) weights: Vec<i8>,
+    /// Scale of each output channel's weights.
+    pub(crate) scales: Vec<f32>,
+    /// Bias of each output channel, in units of `s_i s_w`.
+    pub(crate) bias: Vec<i32>,
+    /// Where the taps are.
+    pub(crate) window: Window,
+}
+
+impl Convolution {
+    /// Weights of one output channel.
+    pub(crate) fn filter(&self, output: usize) -> &[i8] {
+        let length = self.weights.len() / self.outputs;
+        &self.weights[output * length..][..length]
+    }
+
+    /// Factor from accumulator to output steps (to real values where the output is f32), per output channel.
+    pub(crate) fn factors(&self, input: Quantization, form: &Form) -> Vec<f32> {
+        let factor = |&scale: &f32| match form {
+            Form::Bytes { quantization, .. } => input.scale * scale / quantization.scale,
+            Form::Floats => input.scale * scale,
+        };
+        self.scales.iter().map(factor).collect()
+    }
+
+    /// What the accumulators start from: bias less `z_i sum w`, so that kernels multiply raw bytes.
+    pub(crate) fn starts(&self, input: Quantization) -> Vec<i32> {
+        let start = |(output, &bias): (usize, &i32)| {
+            let sum: i32 = self.filter(output).iter().map(|&w| i32::from(w)).sum();
+            bias.wrapping_sub(i32::from(input.zero) * sum)
+        };
+        self.bias.iter().enumerate().map(start).collect()
+    }
+
+    /// Whether no input whatever can carry an accumulator's final value, or a rounded result, out of 32 bits. (On the
+    /// way there sums may wrap around: adding is exact modulo 2^32.)
+    ///
+    /// ONNX Runtime gives channels that never fire biases close to -2^31. Such a channel loses its weights here, and half
+    /// its bias, provided that it comes out saturated either way.
+    pub(crate) fn fit_32_bits(&mut self, input: Quantization, form: &Form) -> bool {
+        let factors = self.factors(input, form);
+        let (least, most) = (-i64::from(input.zero), 255 - i64::from(input.zero));
+        let length = self.weights.len() / self.outputs;
+        for (output, factor) in factors.into_iter().enumerate() {
+            let mut ends = [i64::from(self.bias[output]); 2];
+            for &weight in self.filter(output) {
+                let products = [i64::from(weight) * least, i64::from(weight) * most];
+                ends[0] += products[0].min(products[1]);
+                ends[1] += products[0].max(products[1]);
+            }
+            let farthest = ends[0].abs().max(ends[1].abs());
+            let step = match form {
+                Form::Bytes { .. } => farthest as f64 * f64::from(factor),
+                Form::Floats => 0.0,
+            };
+            if step >= f64::from(1 << 30) {
+                return false;
+            }
+            if farthest >= i64::from(i32::MAX) {
+                let Form::Bytes {
+                    quantization,
+                    range,
+                } = form
+                else {
+                    return false;
+                };
+                let bias = self.bias[output] / 2;
+                let byte = |end: i64| saturate(end as f32 * factor, quantization.zero, range);
+                let low = [ends[1], i64::from(bias)].map(byte) == [*range.start(); 2];
+                let high = [ends[0], i64::from(bias)].map(byte) == [*range.end(); 2];
+                if !low && !high {
+                    return false;
+                }
+                self.bias[output] = bias;
+                self.weights[output * length..][..length].fill(0);
+            }
+        }
+        true
+    }
+}
+
+/// A resize of height and width.
+#[derive(Clone, Debug)]
+pub(crate) struct Resize {
+    /// Bilinear instead of nearest.
+    pub(crate) linear: bool,
+    /// Where output pixels fall in the input.
+    pub(crate) coordinates: Coordinates,
+    /// Which of the two neighbours is the nearest.
+    pub(crate) nearest: Nearest,
+    /// By what factor, or to what size. (height, width)
+    pub(crate) target: Target,
+}
+
+/// Of ONNX's coordinate_transformation_mode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Coordinates {
+    HalfPixel,
+    PytorchHalfPixel,
+    Asymmetric,
+    AlignCorners,
+}
+
+/// Of ONNX's nearest_mode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Nearest {
+    RoundPreferFloor,
+    RoundPreferCeil,
+    Floor,
+    Ceil,
+}
+
+/// Of ONNX's scales and sizes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Target {
+    Scales([f32; 2]),
+    Sizes([usize; 2]),
+}
+
+/// Where one output row or column comes from: two neighbours and the weight of the second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Between {
+    pub(crate) first: usize,
+    pub(crate) second: usize,
+    pub(crate) weight: f32,
+}
+
+impl Resize {
+    fn output(&self, input: [usize; 2]) -> [usize; 2] {
+        match self.target {
+            Target::Sizes(sizes) => sizes,
+            Target::Scales(scales) => {
+                [0, 1].map(|axis| (input[axis] as f32 * scales[axis]) as usize)
+            }
+        }
+    }
+
+    /// Where each output row (axis 0) or column (axis 1) comes from.
+    pub(crate) fn axis(&self, axis: usize, input: [usize; 2]) -> Vec<Between> {
+        let length = input[axis];
+        let outputs = self.output(input)[axis];
+        let scale = match self.target {
+            Target::Scales(scales) => scales[axis],
+            Target::Sizes(_) => outputs as f32 / length as f32,
+        };
+        let last = length - 1;
+        let place = |output: usize| {
+            let x = output as f32;
+            let position = match self.coordinates {
+                Coordinates::Asymmetric => x / scale,
+                Coordinates::PytorchHalfPixel if outputs == 1 => 0.0,
+                Coordinates::HalfPixel | Coordinates::PytorchHalfPixel => (x + 0.5) / scale - 0.5,
+                Coordinates::AlignCorners if outputs == 1 => 0.0,
+                Coordinates::AlignCorners => x * last as f32 / (outputs - 1) as f32,
+            };
+            if self.linear {
+                let position = position.clamp(0.0, last as f32);
+                let first = position as usize;
+                let second = (first + 1).min(last);
+                return Between {
+                    first,
+                    second,
+                    weight: position - first as f32,
+                };
+            }
+            let nearest = match self.nearest {
+                Nearest::Floor => position.floor(),
+                Nearest::Ceil => position.ceil(),
+                Nearest::RoundPreferFloor => (position - 0.5).ceil(),
+                Nearest::RoundPreferCeil => (position + 0.5).floor(),
+            };
+            let first = (nearest.max(0.0) as usize).min(last);
+            Between {
+                first,
+                second: first,
+                weight: 0.0,
+            }
+        };
+        (0..outputs).map(place).collect()
+    }
+}
+
+impl Layer {
+    /// The output's shape, or why there is none.
+    pub(crate) fn shape(&self, inputs: &[Shape]) -> Result<Shape, String> {
+        let [channels, height, width] = inputs[0];
+        let size = [height, width];
+        let with = |channels: usize, [height, width]: [usize; 2]| [channels, height, width];
+        let shape = match &self.operation {
+            Operation::Quantize | Operation::Dequantize | Operation::Table(_) => inputs[0],
+            Operation::Convolution(convolution) => {
+                if channels != convolution.inputs {
+                    return Err(format!(
+                        "{channels} channels meet weights for {}",
+                        convolution.inputs
+                    ));
+                }
+                with(convolution.outputs, convolution.window.place(size)?.1)
+            }
+            Operation::Add | Operation::Multiply => {
+                if inputs[0] != inputs[1] {
+                    return Err(format!(
+                        "shapes {:?} and {:?} do not match",
+                        inputs[0], inputs[1]
+                    ));
+                }
+                inputs[0]
+            }
+            Operation::Concat => {
+                if inputs.iter().any(|shape| shape[1..] != inputs[0][1..]) {
+                    return Err("the parts of a concatenation differ in size".to_owned());
+                }
+                with(inputs.iter().map(|shape| shape[0]).sum(), size)
+            }
+            Operation::Resize(resize) => with(channels, resize.output(size)),
+            Operation::MaxPool(window) | Operation::AveragePool(window, _) => {
+                with(channels, window.place(size)?.1)
+            }
+            Operation::GlobalAveragePool => with(channels, [1, 1]),
+        };
+        if shape.contains(&0) {
+            return Err(format!("an empty tensor {shape:?}"));
+        }
+        Ok(shape)
+    }
+}

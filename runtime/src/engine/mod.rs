@@ -1,0 +1,70 @@
+//! The quantized engine: runs the int8 parts of a network faster than tract does, with the same meaning.
+//!
+//! [`recognize`] finds layers between QuantizeLinear and DequantizeLinear in the ONNX graph; [`island`] gathers them and
+//! replaces each gathering by one operator of tract ([`operator`]); [`layer`] says exactly what a layer means;
+//! [`schedule`] lays out its memory and shares out its rows among [`threads`]; [`kernels`] are the inner loops. What is
+//! not recognized stays with tract, and where an island cannot be planned, the whole model does.
+//!
+//! # Panics
+//! None on any model or picture. `unsafe` is in [`kernels`], [`arena`] and [`threads`] only.
+
+mod arena;
+mod island;
+mod kernels;
+mod layer;
+mod operator;
+mod recognize;
+mod schedule;
+mod threads;
+
+use tract_onnx::pb::ModelProto;
+
+pub use kernels::Kernel;
+pub(crate) use operator::register;
+
+/// How a model's quantized layers are run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Engine {
+    /// By tract, like everything else: the reference.
+    Tract,
+    /// By this crate's kernels, on a fixed set of threads. The result does not depend on either.
+    Quantized {
+        /// Instruction set.
+        kernel: Kernel,
+        /// Number of threads, the caller's included; 0 counts as 1.
+        threads: usize,
+    },
+}
+
+impl Default for Engine {
+    /// The fastest kernels that the processor has, on at most two of its cores.
+    fn default() -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Engine::Quantized {
+            kernel: Kernel::best(),
+            threads: cores.min(2),
+        }
+    }
+}
+
+impl Engine {
+    /// The model with what this engine runs taken out; `None` where that is nothing.
+    pub(crate) fn split(self, model: &ModelProto) -> Option<ModelProto> {
+        let Engine::Quantized { kernel, threads } = self else {
+            return None;
+        };
+        let mut model = island::replace_islands(model)?;
+        let graph = model.graph.as_mut()?;
+        for node in graph
+            .node
+            .iter_mut()
+            .filter(|node| node.op_type == island::ISLAND)
+        {
+            operator::configure(node, kernel, threads.max(1));
+        }
+        Some(model)
+    }
+}
+
+#[cfg(test)]
+mod tests;

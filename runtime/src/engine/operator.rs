@@ -1,0 +1,243 @@
+//! An island as an operator of tract.
+
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tract_onnx::model::ParsingContext;
+use tract_onnx::pb::NodeProto;
+use tract_onnx::tract_hir::internal::*;
+
+use super::arena::Shared;
+use super::island::{BODY, ISLAND, Island};
+use super::kernels::Kernel;
+use super::layer::Shape;
+use super::recognize::attribute;
+use super::schedule::Schedule;
+
+/// Names of the attributes of an island's node that say how to run it.
+const THREADS: &str = "threads";
+const KERNEL: &str = "kernel";
+
+/// Writes into an island's node how to run it.
+pub(crate) fn configure(node: &mut NodeProto, kernel: Kernel, threads: usize) {
+    let number = |name: &str, i: i64| tract_onnx::pb::AttributeProto {
+        name: name.to_owned(),
+        i,
+        ..Default::default()
+    };
+    let place = Kernel::ALL.iter().position(|k| *k == kernel).unwrap_or(0);
+    node.attribute.push(number(THREADS, threads as i64));
+    node.attribute.push(number(KERNEL, place as i64));
+}
+
+/// Teaches tract the islands' operator.
+pub(crate) fn register(onnx: &mut tract_onnx::Onnx) {
+    onnx.op_register.insert(ISLAND, build);
+}
+
+fn build(
+    _: &ParsingContext<'_>,
+    node: &NodeProto,
+) -> TractResult<(Box<dyn InferenceOp>, Vec<String>)> {
+    let body = attribute(node, BODY)
+        .and_then(|a| a.g.as_ref())
+        .context("an island without a body")?;
+    let number = |name: &str| attribute(node, name).map_or(0, |a| a.i as usize);
+    let kernel = Kernel::ALL
+        .get(number(KERNEL))
+        .copied()
+        .unwrap_or(Kernel::Portable);
+    let planned = Unplanned {
+        island: Arc::new(Island::from_body(body)),
+        kernel,
+        threads: number(THREADS),
+    };
+    Ok((expand(planned), vec![]))
+}
+
+/// An island before the sizes are known.
+#[derive(Clone, Debug)]
+struct Unplanned {
+    island: Arc<Island>,
+    kernel: Kernel,
+    threads: usize,
+}
+
+fn picture(shape: &[TDim]) -> TractResult<Shape> {
+    match shape
+        .iter()
+        .map(|d| Ok(d.to_usize()?))
+        .collect::<TractResult<Vec<_>>>()?[..]
+    {
+        [1, channels, height, width] => Ok([channels, height, width]),
+        _ => bail!("a quantized island reads [1, channels, height, width], not {shape:?}"),
+    }
+}
+
+fn outputs(island: &Island, inputs: &[Shape]) -> TractResult<Vec<Shape>> {
+    let shapes = island
+        .shapes(inputs)
+        .map_err(|reason| format_err!(reason))?;
+    let shape = |name: &String| {
+        shapes
+            .get(name.as_str())
+            .copied()
+            .with_context(|| format!("`{name}` is not made"))
+    };
+    island.outputs.iter().map(shape).collect()
+}
+
+impl Expansion for Unplanned {
+    fn name(&self) -> StaticName {
+        ISLAND.into()
+    }
+
+    fn nboutputs(&self) -> TractResult<usize> {
+        Ok(self.island.outputs.len())
+    }
+
+    fn rules<'r, 'p: 'r, 's: 'r>(
+        &'s self,
+        solver: &mut Solver<'r>,
+        inputs: &'p [TensorProxy],
+        writes: &'p [TensorProxy],
+    ) -> InferenceResult {
+        check_input_arity(inputs, self.island.inputs.len())?;
+        check_output_arity(writes, self.island.outputs.len())?;
+        for tensor in inputs.iter().chain(writes) {
+            solver.equals(&tensor.datum_type, f32::datum_type())?;
+            solver.equals(&tensor.rank, 4)?;
+        }
+        solver.given_all(
+            inputs.iter().map(|input| &input.shape),
+            move |solver, shapes: Vec<TVec<TDim>>| {
+                let shapes: Vec<Shape> = shapes
+                    .iter()
+                    .map(|shape| picture(shape))
+                    .collect::<TractResult<_>>()?;
+                for (output, [c, h, w]) in writes.iter().zip(outputs(&self.island, &shapes)?) {
+                    solver.equals(
+                        &output.shape,
+                        ShapeFactoid::from(tvec!(1.to_dim(), c.to_dim(), h.to_dim(), w.to_dim())),
+                    )?;
+                }
+                Ok(())
+            },
+        )
+    }
+
+    fn wire(
+        &self,
+        prefix: &str,
+        model: &mut TypedModel,
+        inputs: &[OutletId],
+    ) -> TractResult<TVec<OutletId>> {
+        let shapes: Vec<Shape> = inputs
+            .iter()
+            .map(|&input| picture(&model.outlet_fact(input)?.shape))
+            .collect::<TractResult<_>>()?;
+        let schedule = Schedule::new(&self.island, &shapes, self.kernel, self.threads)
+            .map_err(|reason| format_err!(reason))?;
+        let shapes: Vec<Shape> = schedule.output_shapes().to_vec();
+        let outputs = shapes
+            .iter()
+            .map(|[c, h, w]| Tensor::zero::<f32>(&[1, *c, *h, *w]).map(Arc::new));
+        let running = Running {
+            schedule,
+            outputs: outputs.collect::<TractResult<_>>()?,
+        };
+        let operator = Operator {
+            shapes,
+            running: Arc::new(Mutex::new(running)),
+        };
+        model.wire_node(prefix, operator, inputs)
+    }
+}
+
+/// An island that runs.
+#[derive(Clone)]
+struct Operator {
+    shapes: Vec<Shape>,
+    running: Arc<Mutex<Running>>,
+}
+
+struct Running {
+    schedule: Schedule,
+    /// Those of the last run. They are written again if nobody holds them any more.
+    outputs: Vec<Arc<Tensor>>,
+}
+
+impl fmt::Debug for Operator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct(ISLAND)
+            .field("outputs", &self.shapes)
+            .finish_non_exhaustive()
+    }
+}
+
+impl PartialEq for Operator {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.running, &other.running)
+    }
+}
+
+impl Eq for Operator {}
+
+impl Op for Operator {
+    fn name(&self) -> StaticName {
+        ISLAND.into()
+    }
+
+    op_as_typed_op!();
+}
+
+impl EvalOp for Operator {
+    op_out_of_plan!();
+
+    fn eval(&self, _: &EvalContext<'_>, inputs: TVec<TValue>) -> TractResult<TVec<TValue>> {
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let Running { schedule, outputs } = &mut *running;
+        for output in outputs.iter_mut() {
+            if Arc::get_mut(output).is_none() {
+                *output = Arc::new(Tensor::zero::<f32>(output.shape())?);
+            }
+        }
+        let reads: TVec<&[f32]> = inputs
+            .iter()
+            .map(|input| input.try_as_plain_ram()?.as_slice::<f32>())
+            .collect::<TractResult<_>>()?;
+        let mut views = outputs
+            .iter_mut()
+            .map(|output| {
+                Arc::get_mut(output)
+                    .context("an output that somebody holds")?
+                    .try_as_plain_ram_mut()
+            })
+            .collect::<TractResult<TVec<_>>>()?;
+        let writes: TVec<Shared<'_, f32>> = views
+            .iter_mut()
+            .map(|view| Ok(Shared::new(view.as_slice_mut::<f32>()?)))
+            .collect::<TractResult<_>>()?;
+        schedule
+            .run(&reads, &writes)
+            .map_err(|reason| format_err!(reason))?;
+        drop(writes);
+        drop(views);
+        Ok(outputs
+            .iter()
+            .map(|output| output.clone().into_tvalue())
+            .collect())
+    }
+}
+
+impl TypedOp for Operator {
+    fn output_facts(&self, _: &[&TypedFact]) -> TractResult<TVec<TypedFact>> {
+        Ok(self
+            .shapes
+            .iter()
+            .map(|[c, h, w]| f32::fact([1, *c, *h, *w]))
+            .collect())
+    }
+
+    as_op!();
+}

@@ -1,0 +1,234 @@
+//! A fixed set of threads that run one job together, again and again.
+//!
+//! Created once, they meet at a barrier between the layers of a job. Who waits spins for a while, since a layer is short,
+//! and then sleeps, since the other core may be busy with something else and a vehicle's computer has better uses for a
+//! spinning core.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+/// How often a waiting thread looks before it sleeps: some 50 microseconds.
+const SPINS: usize = 2000;
+
+type Job<'a> = dyn Fn(&Member<'_>) + Sync + 'a;
+
+/// One thread's part in a job.
+#[derive(Debug)]
+pub(crate) struct Member<'a> {
+    /// Which it is, from 0.
+    pub(crate) number: usize,
+    /// How many there are.
+    pub(crate) members: usize,
+    barrier: &'a Barrier,
+}
+
+impl Member<'_> {
+    /// Waits until all members are here. False: one of them panicked, so leave the job.
+    #[must_use]
+    pub(crate) fn wait(&self) -> bool {
+        self.barrier.wait()
+    }
+
+    /// This member's share of `length` things.
+    pub(crate) fn share(&self, length: usize) -> std::ops::Range<usize> {
+        length * self.number / self.members..length * (self.number + 1) / self.members
+    }
+}
+
+#[derive(Debug)]
+struct Barrier {
+    members: usize,
+    arrived: AtomicUsize,
+    round: AtomicUsize,
+    sleepers: AtomicUsize,
+    broken: AtomicBool,
+    lock: Mutex<()>,
+    wake: Condvar,
+}
+
+impl Barrier {
+    fn wait(&self) -> bool {
+        let round = self.round.load(SeqCst);
+        if self.arrived.fetch_add(1, SeqCst) + 1 == self.members {
+            self.arrived.store(0, SeqCst);
+            self.round.store(round.wrapping_add(1), SeqCst);
+            self.wake_sleepers();
+        } else {
+            let waiting = || self.round.load(SeqCst) == round && !self.broken.load(SeqCst);
+            let mut spins = 0;
+            while waiting() && spins < SPINS {
+                std::hint::spin_loop();
+                spins += 1;
+            }
+            if waiting() {
+                let mut guard = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
+                self.sleepers.fetch_add(1, SeqCst);
+                while waiting() {
+                    guard = self
+                        .wake
+                        .wait(guard)
+                        .unwrap_or_else(PoisonError::into_inner);
+                }
+                self.sleepers.fetch_sub(1, SeqCst);
+            }
+        }
+        !self.broken.load(SeqCst)
+    }
+
+    fn wake_sleepers(&self) {
+        // A sleeper counts itself before it looks at the round for the last time: either it sees the new round, or it
+        // is seen here, and then holds the lock until it sleeps.
+        if self.sleepers.load(SeqCst) > 0 {
+            drop(self.lock.lock().unwrap_or_else(PoisonError::into_inner));
+            self.wake.notify_all();
+        }
+    }
+
+    fn break_up(&self) {
+        self.broken.store(true, SeqCst);
+        drop(self.lock.lock().unwrap_or_else(PoisonError::into_inner));
+        self.wake.notify_all();
+    }
+}
+
+#[derive(Debug)]
+struct Meeting {
+    barrier: Barrier,
+    job: Mutex<Assignment>,
+}
+
+/// What the workers find when they pass the first barrier of a job.
+#[derive(Clone, Copy)]
+enum Assignment {
+    Work(&'static Job<'static>),
+    Leave,
+}
+
+impl std::fmt::Debug for Assignment {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Assignment::Work(_) => "Work",
+            Assignment::Leave => "Leave",
+        })
+    }
+}
+
+/// The threads. The one that calls [`Team::run`] is member 0.
+#[derive(Debug)]
+pub(crate) struct Team {
+    meeting: Arc<Meeting>,
+    workers: Vec<JoinHandle<()>>,
+}
+
+impl Team {
+    /// Creates `members - 1` threads; as many of them as the system grants.
+    pub(crate) fn new(members: usize) -> Self {
+        let spawn = |members: usize| {
+            let barrier = Barrier {
+                members,
+                arrived: AtomicUsize::new(0),
+                round: AtomicUsize::new(0),
+                sleepers: AtomicUsize::new(0),
+                broken: AtomicBool::new(false),
+                lock: Mutex::new(()),
+                wake: Condvar::new(),
+            };
+            let meeting = Arc::new(Meeting {
+                barrier,
+                job: Mutex::new(Assignment::Leave),
+            });
+            let worker = |number| {
+                let meeting = meeting.clone();
+                std::thread::Builder::new()
+                    .name(format!("gedepth {number}"))
+                    .spawn(move || work(&meeting, number))
+            };
+            let workers: Vec<_> = (1..members)
+                .map_while(|number| worker(number).ok())
+                .collect();
+            Self { meeting, workers }
+        };
+        let team = spawn(members.max(1));
+        let granted = team.workers.len() + 1;
+        if granted == members.max(1) {
+            return team;
+        }
+        // A system that refuses threads: do with this one. Those that were created find the meeting broken and leave.
+        team.meeting.barrier.break_up();
+        spawn(1)
+    }
+
+    /// Runs `job` once on every member. False: a member panicked; the team is then of no further use.
+    #[must_use]
+    pub(crate) fn run(&mut self, job: &Job<'_>) -> bool {
+        let barrier = &self.meeting.barrier;
+        let member = Member {
+            number: 0,
+            members: self.workers.len() + 1,
+            barrier,
+        };
+        if self.workers.is_empty() {
+            job(&member);
+            return true;
+        }
+        // SAFETY: only the lifetime changes. No worker touches the job after the last barrier below, or after it found
+        // the barrier broken and said so by ending, and this function returns only then.
+        let endless = unsafe { std::mem::transmute::<&Job<'_>, &'static Job<'static>>(job) };
+        *self
+            .meeting
+            .job
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = Assignment::Work(endless);
+        let whole = barrier.wait()
+            && catch_unwind(AssertUnwindSafe(|| job(&member))).is_ok()
+            && barrier.wait();
+        if !whole {
+            self.dissolve();
+        }
+        whole
+    }
+
+    /// Ends the workers, wherever they wait.
+    fn dissolve(&mut self) {
+        self.meeting.barrier.break_up();
+        for worker in self.workers.drain(..) {
+            // Its panic, if that is what it was, has been reported by the barrier.
+            drop(worker.join());
+        }
+    }
+}
+
+impl Drop for Team {
+    fn drop(&mut self) {
+        *self
+            .meeting
+            .job
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = Assignment::Leave;
+        self.dissolve();
+    }
+}
+
+fn work(meeting: &Meeting, number: usize) {
+    let barrier = &meeting.barrier;
+    let member = Member {
+        number,
+        members: barrier.members,
+        barrier,
+    };
+    while barrier.wait() {
+        let assignment = *meeting.job.lock().unwrap_or_else(PoisonError::into_inner);
+        let Assignment::Work(job) = assignment else {
+            return;
+        };
+        if catch_unwind(AssertUnwindSafe(|| job(&member))).is_err() {
+            barrier.break_up();
+            return;
+        }
+        if !barrier.wait() {
+            return;
+        }
+    }
+}
