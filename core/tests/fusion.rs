@@ -148,8 +148,13 @@ struct Case {
 fn case() -> impl Strategy<Value = Case> {
     let upsampling = prop_oneof![Just(Upsampling::HalfPixel), Just(Upsampling::AlignCorners)];
     let at = prop_oneof![Just(DecodeAt::HeadSize), Just(DecodeAt::OutputSize)];
-    (sizes(), upsampling, at, any::<(bool, bool)>()).prop_flat_map(
-        |((output, head), upsampling, at, (log, logit))| {
+    (sizes(), upsampling, at, any::<(bool, bool, bool)>()).prop_flat_map(
+        |((output, head), upsampling, at, (log, logit, large))| {
+            // Softmax must not overflow, whatever the logits' size; upsampling large ones would round them.
+            let size = match (at, large) {
+                (DecodeAt::HeadSize, true) => 400.0,
+                _ => 6.0,
+            };
             let n = head.pixels();
             let residual = if log {
                 values(n, -3.0, 5.0)
@@ -165,7 +170,7 @@ fn case() -> impl Strategy<Value = Case> {
                 values(output.pixels(), -0.3, 0.5),
                 residual,
                 attention,
-                values(8 * n, -6.0, 6.0),
+                values(8 * n, -size, size),
             )
                 .prop_map(move |(ground, residual, attention, slope)| Case {
                     output,
