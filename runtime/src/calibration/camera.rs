@@ -4,6 +4,7 @@ use gedepth_core::camera::{
     BrownConrady, CameraModel, ImageSize, Intrinsics, KannalaBrandt, Pinhole, Pixel,
 };
 use gedepth_core::{Angle, CameraFrame, Direction, Error, Point};
+use glam::DVec2;
 
 /// How the lens bends rays; coefficients in the order of ROS and OpenCV.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,6 +83,10 @@ impl CameraModel for Camera {
 
     fn field_of_view(&self) -> Angle {
         self.model().field_of_view()
+    }
+
+    fn forward_ray(&self, pixel: Pixel) -> Option<DVec2> {
+        self.model().forward_ray(pixel)
     }
 
     fn as_pinhole(&self) -> Option<&Intrinsics> {
