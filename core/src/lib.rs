@@ -37,10 +37,10 @@
 //!
 //! # Memory
 //!
-//! Tables and scratch are the caller's, their lengths `const fn`s. Types are small (`KannalaBrandt` 312 bytes,
-//! `SlopeClasses` 264, all others, but for owned tables and binned accumulators, at most 168; `tests/footprint.rs` asserts every one). No call recurses.
-//! Optimized for x86-64, cameras, tables, the vanishing line and metrics take at most 4 KiB of stack, fusion at most 6 KiB,
-//! its callers' frames included; asserted too.
+//! Tables and scratch are the caller's, their lengths `const fn`s. Types are small: `KannalaBrandt` 312 bytes,
+//! `SlopeClasses` 264, all others at most 168, but for owned tables and binned accumulators; `tests/footprint.rs`
+//! asserts every one. No call recurses. Optimized for x86-64, cameras, tables, the vanishing line and metrics take at
+//! most 4 KiB of stack, fusion at most 6 KiB, its callers' frames included; asserted too.
 //!
 //! # Panics
 //!

@@ -310,13 +310,22 @@ fn vanishing_line_inside_an_image_circle() -> Result<(), Error> {
 /// One row, one column, one pixel.
 #[test]
 fn thin_pictures() -> Result<(), Error> {
-    for (width, height, roll, expected) in
-        [(1, 1, 10.0, None), (9, 1, 0.0, None), (1, 9, 0.0, None)]
-    {
-        let camera = Pinhole::new(Intrinsics::centred(ImageSize::new(width, height)?, 9.0)?);
+    // The line lies 0.16 px above the picture's centre, or to the left of it.
+    for (width, height, roll, share) in [
+        (1, 1, 10.0, 1.0),
+        (9, 1, 0.0, 1.0),
+        (1, 9, 0.0, 5.0 / 9.0),
+        (9, 1, 90.0, 5.0 / 9.0),
+    ] {
+        let size = ImageSize::new(width, height)?;
+        let camera = Pinhole::new(Intrinsics::centred(size, 9.0)?);
         let ground =
             Ground::from_mounting(1.0, Angle::from_degrees(1.0), Angle::from_degrees(roll))?;
-        assert_eq!(ground.vanishing_line(&camera), expected, "{width}x{height}");
+        assert_eq!(ground.vanishing_line(&camera), None, "{width}x{height}");
+        let mut memory = vec![0.0; size.pixels()];
+        let table = GroundView::build(&mut memory, &camera, &ground)?;
+        let coverage = Coverage::of(&table, &mut [0.0; 9])?;
+        assert_eq!(coverage.share, share, "{width}x{height}");
     }
     let direction: Direction<CameraFrame> = Direction::new(0.0, 1.0, 0.0)?;
     assert_eq!(Ground::new(direction, 1.5)?.height(), 1.5);

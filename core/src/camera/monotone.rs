@@ -36,7 +36,24 @@ pub(super) fn invert(f: impl Fn(f64) -> [f64; 2], target: f64, start: f64, end: 
 
 #[cfg(test)]
 mod tests {
+    use core::cell::Cell;
+
     use super::invert;
+
+    /// A good start is all that is needed: Newton's first step is tried, found small, and kept.
+    #[test]
+    fn good_starts_end_at_once() {
+        for (start, most) in [(0.7 + 1e-6, 1), (0.7 - 1e-3, 2), (0.9, 4)] {
+            let calls = Cell::new(0);
+            let f = |x: f64| {
+                calls.set(calls.get() + 1);
+                [x + 0.2 * x * x, 1.0 + 0.4 * x]
+            };
+            let x = invert(f, 0.7 + 0.2 * 0.49, start, 2.0);
+            assert!((x - 0.7).abs() < 1e-9);
+            assert!(calls.get() <= most, "from {start}: {} steps", calls.get());
+        }
+    }
 
     /// Newton alone would leave the bracket from these starts, or never settle.
     #[test]
