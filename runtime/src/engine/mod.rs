@@ -39,12 +39,16 @@ pub enum Engine {
 }
 
 impl Default for Engine {
-    /// The fastest kernels that the processor has, on at most two of its cores.
+    /// The fastest kernels that the processor has, on at most two of its cores. The portable kernels are there to be
+    /// compared with and are slower than tract, which runs everything where there are no others.
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Engine::Quantized {
-            kernel: Kernel::best(),
-            threads: cores.min(2),
+        match Kernel::best() {
+            Kernel::Portable => Engine::Tract,
+            kernel => Engine::Quantized {
+                kernel,
+                threads: cores.min(2),
+            },
         }
     }
 }

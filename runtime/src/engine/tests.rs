@@ -252,6 +252,13 @@ fn run(
     (outputs.iter().map(floats).collect(), rest)
 }
 
+fn fastest() -> Engine {
+    Engine::Quantized {
+        kernel: Kernel::best(),
+        threads: 2,
+    }
+}
+
 fn kernels() -> impl Iterator<Item = Kernel> {
     Kernel::ALL
         .into_iter()
@@ -648,7 +655,7 @@ fn an_unknown_operator_parts_two_islands() {
     let sum = b.node("Add", &[&x, &outside], vec![]);
     let sum = b.quantized(&sum, steps);
     let model = b.finish(&[&sum]);
-    let split = Engine::default().split(&model).unwrap();
+    let split = fastest().split(&model).unwrap();
     let operators: Vec<&str> = split
         .graph
         .as_ref()
@@ -660,7 +667,7 @@ fn an_unknown_operator_parts_two_islands() {
     assert_eq!(operators, ["Erf", ISLAND, ISLAND]);
 
     let input = on_grid(&mut numbers, steps, shape.iter().product());
-    let (ours, _) = run(&model, Engine::default(), shape, &input);
+    let (ours, _) = run(&model, fastest(), shape, &input);
     let (tracts, _) = run(&model, Engine::Tract, shape, &input);
     let same = ours[0]
         .iter()
@@ -713,7 +720,7 @@ fn every_kernel_and_number_of_threads_gives_the_same_bytes() {
 /// of the outputs' own size.
 #[test]
 fn the_whole_network_agrees_with_tract() {
-    let ours = heads(Engine::default(), (160, 96));
+    let ours = heads(fastest(), (160, 96));
     let tracts = heads(Engine::Tract, (160, 96));
     for (ours, tracts) in ours.iter().zip(&tracts) {
         let mean = tracts.iter().sum::<f32>() / tracts.len() as f32;
@@ -740,7 +747,7 @@ fn the_embedded_model_is_one_island() {
     let model = tract_onnx::onnx()
         .proto_model_for_read(&mut bytes.as_slice())
         .unwrap();
-    let split = Engine::default().split(&model).unwrap();
+    let split = fastest().split(&model).unwrap();
     let operators: Vec<&str> = split
         .graph
         .as_ref()
