@@ -12,7 +12,7 @@ use tract_onnx::prelude::*;
 
 use crate::Error;
 use crate::contract::Contract;
-use crate::engine::{self, Engine};
+use crate::engine::{self, Engine, Whole};
 
 /// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
 static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onnx");
@@ -176,10 +176,18 @@ fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, 
     }
 }
 
+/// Who runs a network.
+enum Plan {
+    /// tract, with or without islands of the engine in it.
+    Tract(Arc<TypedRunnableModel>),
+    /// The engine alone, without an allocation per run.
+    Engine(Whole),
+}
+
 /// A network bound to a size, ready to run.
 pub(crate) struct Network {
     path: PathBuf,
-    plan: Arc<TypedRunnableModel>,
+    plan: Plan,
     /// `[1, channels, height, width]`; taken by a run and given back after it.
     input: Arc<Tensor>,
     /// Where each output that was asked for is among the plan's.
@@ -230,10 +238,20 @@ impl Network {
                     .into_runnable()
             })
         };
-        // What the engine cannot do after all, tract does.
-        let plan = match model.engine.split(&model.proto).map(|split| plan(&split)) {
-            Some(Ok(planned)) => planned,
-            Some(Err(_)) | None => plan(&model.proto).map_err(unfit)?,
+        // What the engine cannot do, tract does; what it cannot do after all, too.
+        let split = model.engine.split(&model.proto);
+        let [_, channels, height, width] = shape;
+        let whole = split
+            .as_ref()
+            .and_then(|split| Whole::new(split, [channels, height, width]));
+        let plan = match (whole, split) {
+            (Some(whole), _) => Plan::Engine(whole),
+            (None, Some(split)) => Plan::Tract(
+                plan(&split)
+                    .or_else(|_| plan(&model.proto))
+                    .map_err(unfit)?,
+            ),
+            (None, None) => Plan::Tract(plan(&model.proto).map_err(unfit)?),
         };
         let input = guarded(|| Tensor::zero::<f32>(&shape)).map_err(unfit)?;
         Ok(Self {
@@ -263,17 +281,24 @@ impl Network {
     }
 
     /// Runs the network on its input.
-    pub(crate) fn run(&self) -> Result<Outputs<'_>, Error> {
-        let values = guarded(|| self.plan.run(tvec!(self.input.clone().into_tvalue()))).map_err(
-            |reason| Error::Model {
-                path: self.path.clone(),
-                reason,
-            },
-        )?;
+    pub(crate) fn run(&mut self) -> Result<Outputs<'_>, Error> {
+        let values = match &mut self.plan {
+            Plan::Tract(plan) => {
+                guarded(|| plan.run(tvec!(self.input.clone().into_tvalue()))).map(Values::Tract)
+            }
+            Plan::Engine(whole) => {
+                guarded(|| Ok(whole.run(self.input.try_as_plain_ram()?.as_slice()?)))
+                    .and_then(|ran| ran)
+                    .map(|()| Values::Engine(whole))
+            }
+        };
         Ok(Outputs {
             path: &self.path,
             order: &self.outputs,
-            values,
+            values: values.map_err(|reason| Error::Model {
+                path: self.path.clone(),
+                reason,
+            })?,
         })
     }
 }
@@ -282,7 +307,12 @@ impl Network {
 pub(crate) struct Outputs<'a> {
     path: &'a Path,
     order: &'a [usize],
-    values: TVec<TValue>,
+    values: Values<'a>,
+}
+
+enum Values<'a> {
+    Tract(TVec<TValue>),
+    Engine(&'a Whole),
 }
 
 impl Outputs<'_> {
@@ -296,7 +326,10 @@ impl Outputs<'_> {
 
     /// The output that was asked for as number `index`: its numbers, planar, and its `[channels, height, width]`.
     pub(crate) fn head(&self, index: usize) -> Result<(&[f32], [usize; 3]), Error> {
-        let value = &self.values[self.order[index]];
+        let value = match &self.values {
+            Values::Tract(values) => &values[self.order[index]],
+            Values::Engine(whole) => return Ok(whole.output(self.order[index])),
+        };
         let &[1, channels, height, width] = value.shape() else {
             return Err(self.unfit(format!(
                 "an output has the shape {:?} instead of [1, channels, height, width]",

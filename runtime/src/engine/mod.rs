@@ -2,8 +2,8 @@
 //!
 //! [`recognize`] finds layers between QuantizeLinear and DequantizeLinear in the ONNX graph; [`island`] gathers them and
 //! replaces each gathering by one operator of tract ([`operator`]); [`layer`] says exactly what a layer means;
-//! [`schedule`] lays out its memory and shares out its rows among [`threads`]; [`kernels`] are the inner loops. What is
-//! not recognized stays with tract, and where an island cannot be planned, the whole model does.
+//! [`schedule`] lays out its memory and shares out its rows among [`threads`]; [`kernels`] are the inner loops; a network
+//! that is all one island runs without tract ([`whole`]). What is not recognized stays with tract, and where an island cannot be planned, the whole model does.
 //!
 //! # Panics
 //! None on any model or picture. `unsafe` is in [`kernels`], [`arena`] and [`threads`] only.
@@ -16,11 +16,13 @@ mod operator;
 mod recognize;
 mod schedule;
 mod threads;
+mod whole;
 
 use tract_onnx::pb::ModelProto;
 
 pub use kernels::Kernel;
 pub(crate) use operator::register;
+pub(crate) use whole::Whole;
 
 /// How a model's quantized layers are run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,12 +39,16 @@ pub enum Engine {
 }
 
 impl Default for Engine {
-    /// The fastest kernels that the processor has, on at most two of its cores.
+    /// The fastest kernels that the processor has, on at most two of its cores. The portable kernels are there to be
+    /// compared with and are slower than tract, which runs everything where there are no others.
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Engine::Quantized {
-            kernel: Kernel::best(),
-            threads: cores.min(2),
+        match Kernel::best() {
+            Kernel::Portable => Engine::Tract,
+            kernel => Engine::Quantized {
+                kernel,
+                threads: cores.min(2),
+            },
         }
     }
 }

@@ -35,24 +35,30 @@ pub(crate) fn register(onnx: &mut tract_onnx::Onnx) {
     onnx.op_register.insert(ISLAND, build);
 }
 
-fn build(
-    _: &ParsingContext<'_>,
-    node: &NodeProto,
-) -> TractResult<(Box<dyn InferenceOp>, Vec<String>)> {
-    let body = attribute(node, BODY)
-        .and_then(|a| a.g.as_ref())
-        .context("an island without a body")?;
+/// What an island's node says: its layers and how to run them.
+pub(crate) fn read(node: &NodeProto) -> Option<(Island, Kernel, usize)> {
+    let body = attribute(node, BODY)?.g.as_ref()?;
     let number = |name: &str| attribute(node, name).map_or(0, |a| a.i as usize);
     let kernel = Kernel::ALL
         .get(number(KERNEL))
         .copied()
         .unwrap_or(Kernel::Portable);
-    let planned = Unplanned {
-        island: Arc::new(Island::from_body(body)),
-        kernel,
-        threads: number(THREADS),
-    };
-    Ok((expand(planned), vec![]))
+    Some((Island::from_body(body), kernel, number(THREADS)))
+}
+
+fn build(
+    _: &ParsingContext<'_>,
+    node: &NodeProto,
+) -> TractResult<(Box<dyn InferenceOp>, Vec<String>)> {
+    let (island, kernel, threads) = read(node).context("an island without a body")?;
+    Ok((
+        expand(Unplanned {
+            island: Arc::new(island),
+            kernel,
+            threads,
+        }),
+        vec![],
+    ))
 }
 
 /// An island before the sizes are known.

@@ -252,6 +252,13 @@ fn run(
     (outputs.iter().map(floats).collect(), rest)
 }
 
+fn fastest() -> Engine {
+    Engine::Quantized {
+        kernel: Kernel::best(),
+        threads: 2,
+    }
+}
+
 fn kernels() -> impl Iterator<Item = Kernel> {
     Kernel::ALL
         .into_iter()
@@ -629,6 +636,47 @@ fn resizes_and_pools_are_the_nearest_step() {
     }
 }
 
+/// What the engine does not know stays with tract, and bytes get past it from one island to the next.
+#[test]
+fn an_unknown_operator_parts_two_islands() {
+    let mut numbers = Numbers(4);
+    let shape = [20, 3, 7];
+    let steps = Steps {
+        scale: 0.02,
+        zero: 100,
+        signed: false,
+    };
+    let mut b = Builder::new(shape);
+    let x = b.quantized("x", steps);
+    let x = b.node("Sigmoid", &[&x], vec![]);
+    let x = b.quantized(&x, steps);
+    let outside = b.node("Erf", &[&x], vec![]);
+    let outside = b.quantized(&outside, steps);
+    let sum = b.node("Add", &[&x, &outside], vec![]);
+    let sum = b.quantized(&sum, steps);
+    let model = b.finish(&[&sum]);
+    let split = fastest().split(&model).unwrap();
+    let operators: Vec<&str> = split
+        .graph
+        .as_ref()
+        .unwrap()
+        .node
+        .iter()
+        .map(|n| n.op_type.as_str())
+        .collect();
+    assert_eq!(operators, ["Erf", ISLAND, ISLAND]);
+
+    let input = on_grid(&mut numbers, steps, shape.iter().product());
+    let (ours, _) = run(&model, fastest(), shape, &input);
+    let (tracts, _) = run(&model, Engine::Tract, shape, &input);
+    let same = ours[0]
+        .iter()
+        .zip(&tracts[0])
+        .filter(|(a, b)| (*a - *b).abs() < 1e-4)
+        .count();
+    assert_eq!(same, ours[0].len());
+}
+
 /// The embedded model's heads for a smooth input.
 fn heads(engine: Engine, size: (u32, u32)) -> Vec<Vec<f32>> {
     let model = Model::embedded().unwrap().with_engine(engine);
@@ -672,7 +720,7 @@ fn every_kernel_and_number_of_threads_gives_the_same_bytes() {
 /// of the outputs' own size.
 #[test]
 fn the_whole_network_agrees_with_tract() {
-    let ours = heads(Engine::default(), (160, 96));
+    let ours = heads(fastest(), (160, 96));
     let tracts = heads(Engine::Tract, (160, 96));
     for (ours, tracts) in ours.iter().zip(&tracts) {
         let mean = tracts.iter().sum::<f32>() / tracts.len() as f32;
@@ -699,7 +747,7 @@ fn the_embedded_model_is_one_island() {
     let model = tract_onnx::onnx()
         .proto_model_for_read(&mut bytes.as_slice())
         .unwrap();
-    let split = Engine::default().split(&model).unwrap();
+    let split = fastest().split(&model).unwrap();
     let operators: Vec<&str> = split
         .graph
         .as_ref()
@@ -709,4 +757,44 @@ fn the_embedded_model_is_one_island() {
         .map(|n| n.op_type.as_str())
         .collect();
     assert_eq!(operators, [ISLAND]);
+}
+
+/// The system's allocator, with a count of what each thread asked it for.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
+}
+
+// SAFETY: every call goes to the system's allocator, unchanged.
+unsafe impl std::alloc::GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: std::alloc::Layout) -> *mut u8 {
+        // A thread that ends allocates too, when its count is gone.
+        let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
+        // SAFETY: the caller's promises are passed on.
+        unsafe { std::alloc::System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: std::alloc::Layout) {
+        // SAFETY: the caller's promises are passed on.
+        unsafe { std::alloc::System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+#[test]
+fn a_run_allocates_nothing() {
+    // Each member of a team does the same on its own rows; here this thread does all of them.
+    for kernel in kernels() {
+        let engine = Engine::Quantized { kernel, threads: 1 };
+        let model = Model::embedded().unwrap().with_engine(engine);
+        let mut network = Network::new(&model, (96, 64), &["residual"]).unwrap();
+        let before = ALLOCATIONS.get();
+        for _ in 0..3 {
+            network.run().unwrap().head(0).unwrap();
+        }
+        assert_eq!(ALLOCATIONS.get() - before, 0, "{kernel:?}");
+    }
 }
