@@ -375,10 +375,11 @@ mod tests {
     }
 
     /// Largest and mean difference of each output from what ONNX Runtime gave for the same input.
-    fn differences(name: &str) -> Vec<(f32, f32)> {
+    fn differences(name: &str, engine: Engine) -> Vec<(f32, f32)> {
         let golden = models().join("golden").join(name);
-        let model =
-            Model::from_file(&models().join(format!("{name}.onnx"))).expect("a shipped model");
+        let model = Model::from_file(&models().join(format!("{name}.onnx")))
+            .expect("a shipped model")
+            .with_engine(engine);
         let mut outputs = vec!["residual"];
         outputs.extend(model.contract.attention.as_ref().map(|_| "attention"));
         outputs.extend(model.contract.slope.as_ref().map(|_| "slope"));
@@ -408,10 +409,24 @@ mod tests {
         outputs.iter().enumerate().map(compare).collect()
     }
 
+    /// Every integer is the same; only the last step, from 32-bit sums to f32, rounds in its own order.
+    #[test]
+    fn int8_networks_give_what_onnx_runtime_gives() {
+        let engine = Engine::Quantized {
+            kernel: engine::Kernel::best(),
+            threads: 1,
+        };
+        for mode in ["baseline", "vanilla", "adaptive"] {
+            for (largest, _) in differences(&format!("{mode}-int8"), engine) {
+                assert!(largest < 1e-4, "{mode}: {largest}");
+            }
+        }
+    }
+
     #[test]
     fn f32_networks_give_what_onnx_runtime_gives() {
         for mode in ["baseline", "vanilla", "adaptive"] {
-            for (largest, _) in differences(&format!("{mode}-f32")) {
+            for (largest, _) in differences(&format!("{mode}-f32"), Engine::Tract) {
                 assert!(largest < 1e-3, "{mode}: {largest}");
             }
         }
