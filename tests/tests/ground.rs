@@ -1,11 +1,12 @@
 //! The ground of real calibration files: against formulas of the test's own, and against LiDAR.
+#![allow(clippy::expect_used, clippy::panic)] // a test that cannot go on says why
 
 use std::path::Path;
 
 use gedepth::Calibration;
 use gedepth_core::camera::CameraModel;
 use gedepth_core::slope::adaptive_inverse_depth;
-use gedepth_core::table::{GroundRows, GroundView};
+use gedepth_core::table::GroundView;
 use gedepth_tests::{depth, folders, real_data};
 
 /// Eq. 5 in f64 from the numbers of a `calibration.json`, by solving for the ray instead of inverting K:
