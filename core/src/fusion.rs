@@ -44,10 +44,10 @@ pub use reference::{ReferenceFusion, reference_scratch_len};
 pub use upsample::Upsampling;
 
 pub use crate::error::Head;
-pub(crate) use decode::exp;
 
 use crate::Error;
 use crate::camera::ImageSize;
+use crate::polynomial::clamp;
 use crate::table::{GroundRows, MIN_INVERSE_DEPTH};
 use decode::{Plane, SlopeTangent};
 
@@ -156,7 +156,7 @@ impl Fusion {
         for (v, depth) in (0..).zip(depth.chunks_exact_mut(output.width() as usize)) {
             residual.row(v, depth)?;
             for depth in depth {
-                *depth = decode::clamp(*depth, self.depth.min, self.depth.max);
+                *depth = clamp(*depth, self.depth.min, self.depth.max);
             }
         }
         Ok(())
@@ -253,7 +253,7 @@ impl Fusion {
                 };
                 *ground = z;
                 let fused = *depth + m * (z - *depth);
-                *depth = decode::clamp(fused, self.depth.min, self.depth.max);
+                *depth = clamp(fused, self.depth.min, self.depth.max);
             }
             let row = v as usize * width..(v as usize + 1) * width;
             if let Some(map) = maps.attention.as_mut().and_then(|m| m.get_mut(row.clone())) {

@@ -59,6 +59,7 @@ mod angle;
 mod error;
 mod frame;
 mod ground;
+mod polynomial;
 mod pose;
 mod scalar;
 

@@ -11,6 +11,7 @@
 
 use heapless::Vec;
 
+use crate::polynomial::exp;
 use crate::scalar::{atan2, tan};
 use crate::{Angle, Error, Ground};
 
@@ -115,7 +116,7 @@ impl<const N: usize> SlopeClasses<N> {
         let largest = logits.iter().copied().fold(f32::MIN, f32::max);
         let (mut sum, mut weighted) = (0.0, 0.0);
         for (logit, angle) in logits.iter().zip(&self.angles) {
-            let weight = crate::fusion::exp(logit - largest);
+            let weight = exp(logit - largest);
             sum += weight;
             weighted += weight * angle;
         }

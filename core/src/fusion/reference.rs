@@ -6,13 +6,14 @@
 //! against division by zero. `M` and `M z` are resized to the decoder's size with corners aligned; there
 //! `depth = max(residual, 0) (1 - M) + M z + min`, clamped, and resized back with corners aligned.
 
-use super::decode::{SlopeTangent, clamp};
+use super::decode::SlopeTangent;
 use super::head::{DecodeAt, HeadMap, SlopeHead, check_finite};
 use super::upsample::{self, SourceRows, Upsampler, Upsampling};
 use super::{DepthRange, Scratch, check_output};
 use crate::Error;
 use crate::camera::ImageSize;
 use crate::error::Head;
+use crate::polynomial::clamp;
 use crate::table::GroundRows;
 
 /// The reference implementation's fusion and its settings.
