@@ -40,7 +40,8 @@ pub enum Engine {
 
 impl Default for Engine {
     /// The fastest kernels that the processor has, on at most two of its cores. The portable kernels are there to be
-    /// compared with and are slower than tract, which runs everything where there are no others.
+    /// compared with and are slower than tract, which runs everything where there are no others (x86-64 without AVX2,
+    /// 32-bit processors).
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         match Kernel::best() {

@@ -477,7 +477,7 @@ fn step(
                     _ => None,
                 })
                 .collect();
-            let (dense, runs) = dense(&convolutions, from[0], &layer.form, &reads[0]);
+            let (dense, runs) = dense(kernel, &convolutions, from[0], &layer.form, &reads[0]);
             let outputs: Result<Vec<usize>, String> =
                 siblings.iter().map(|layer| output(layer)).collect();
             let channels = convolutions.iter().map(|convolution| convolution.outputs);
@@ -522,7 +522,7 @@ fn step(
                     to,
                 }
             } else {
-                let (dense, runs) = dense(&[convolution], from[0], &layer.form, &reads[0]);
+                let (dense, runs) = dense(kernel, &[convolution], from[0], &layer.form, &reads[0]);
                 Work::Dense {
                     dense,
                     taps: Taps::new(window, &reads[0], runs)?,
@@ -628,6 +628,7 @@ fn step(
 
 /// Packs convolutions that read the same pixels, one after the other, and says where their runs are.
 fn dense(
+    kernel: Kernel,
     convolutions: &[&Convolution],
     from: Quantization,
     form: &Form,
@@ -677,6 +678,7 @@ fn dense(
         .sum();
     (
         Dense::new(
+            kernel,
             outputs,
             runs.len(),
             run,

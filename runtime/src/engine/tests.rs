@@ -10,6 +10,7 @@ use tract_onnx::pb::{
 use tract_onnx::prelude::*;
 
 use super::island::ISLAND;
+use super::layer::Quantization;
 use super::{Engine, Kernel, register};
 use crate::model::{Model, Network};
 
@@ -633,6 +634,33 @@ fn resizes_and_pools_are_the_nearest_step() {
             &real,
             &format!("{operation} {case}"),
         );
+    }
+}
+
+/// Also where the processor's own conversions differ: NaN, infinities, and what does not fit an integer.
+#[test]
+fn every_kernel_quantizes_any_real_as_the_definition_says() {
+    let mut reals = vec![
+        f32::NAN,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+        f32::MAX,
+        f32::MIN,
+    ];
+    reals.extend([f32::MIN_POSITIVE, -0.0, 3e9, -3e9, 0.05, -0.05, 0.15, 0.25]);
+    reals.extend((-300..300).map(|half| half as f32 / 2.0 * 0.1));
+    for kernel in kernels() {
+        for zero in [0, 77, 255] {
+            let quantization = Quantization { scale: 0.1, zero };
+            let backwards: Vec<f32> = reals.iter().rev().copied().collect();
+            let mut bytes = vec![1; 4 * reals.len()];
+            kernel.quantize_four(&[&reals, &backwards, &reals], 0.1, zero, &mut bytes);
+            for (pixel, (&real, &other)) in bytes.chunks(4).zip(reals.iter().zip(&backwards)) {
+                let [real_byte, other_byte] = [real, other].map(|v| quantization.byte(v));
+                let expected = [real_byte, other_byte, real_byte, zero];
+                assert_eq!(pixel, expected, "{kernel:?}, {real}, {other}, {zero}");
+            }
+        }
     }
 }
 

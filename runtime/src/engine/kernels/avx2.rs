@@ -3,9 +3,9 @@
 
 use std::arch::x86_64::*;
 
-use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, groups, portable};
+use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, portable};
 
-/// Pixels of a tile.
+/// Pixels of a depthwise tile.
 const PIXELS: usize = 4;
 
 /// Zero point and bounds of the output in every lane.
@@ -46,94 +46,199 @@ fn scaled(sums: __m256i, factors: __m256) -> __m256i {
     _mm256_cvtps_epi32(_mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors))
 }
 
-/// Accumulators of one block of `COUNT` pixels from `pixel` on, eight lanes in a register.
-///
-/// # Safety
-/// The row passed `Dense::check` and has those pixels; `weights` is the block's first vector in a group of `group`
-/// blocks, `lane` its first output channel.
-#[target_feature(enable = "avx2")]
-#[inline]
-unsafe fn sums<const COUNT: usize>(
-    dense: &Dense,
-    row: &Row<'_>,
-    (lane, group): (usize, usize),
-    mut weights: *const i8,
+/// A block of channels of some pixels of a dense convolution.
+#[derive(Clone, Copy)]
+pub(super) struct Tile<'a> {
+    pub(super) dense: &'a Dense,
+    pub(super) row: &'a Row<'a>,
+    /// First output channel.
+    lane: usize,
+    /// The block's first vector of weights, and how many weights on the next one is.
+    pub(super) weights: *const i8,
+    pub(super) next_weights: usize,
     pixel: usize,
-) -> [[__m256i; 2]; COUNT] {
-    // SAFETY: there is a start for every lane of every block.
-    let starts = unsafe {
-        let at = dense.starts.as_ptr().add(lane);
-        [
-            _mm256_loadu_si256(at.cast()),
-            _mm256_loadu_si256(at.add(8).cast()),
-        ]
-    };
-    let mut sums = [starts; COUNT];
-    let even = _mm256_set1_epi16(0xff);
-    for offset in row.runs {
-        // SAFETY: the first byte of the run of the first pixel is in the row's input.
-        let mut input = unsafe { row.input.as_ptr().add(row.base + offset + pixel * row.step) };
-        for _ in 0..dense.run / 4 {
-            // SAFETY: a group has `runs * run / 4` times `group` vectors of 64 weights.
-            let halves =
-                unsafe { [weights, weights.add(32)].map(|at| _mm256_loadu_si256(at.cast())) };
-            let evens = halves.map(|w| _mm256_srai_epi16::<8>(_mm256_slli_epi16::<8>(w)));
-            let odds = halves.map(|w| _mm256_srai_epi16::<8>(w));
-            for (number, sums) in sums.iter_mut().enumerate() {
-                // SAFETY: four bytes of a run of a pixel of the row.
-                let quad = unsafe { input.add(number * row.step).cast::<i32>().read_unaligned() };
-                let quad = _mm256_set1_epi32(quad);
-                let (e, o) = (_mm256_and_si256(quad, even), _mm256_srli_epi16::<8>(quad));
-                for half in 0..2 {
-                    let products = _mm256_add_epi32(
-                        _mm256_madd_epi16(e, evens[half]),
-                        _mm256_madd_epi16(o, odds[half]),
-                    );
-                    sums[half] = _mm256_add_epi32(sums[half], products);
-                }
-            }
-            // SAFETY: at most to the end of the run, and of the group's weights.
-            (input, weights) = unsafe { (input.add(4), weights.add(group * 4 * BLOCK)) };
-        }
-    }
-    sums
 }
 
-/// Calls `store(pixel, lane, accumulators)` for each block of each pixel.
+impl Tile<'_> {
+    /// What the block's accumulators start from.
+    ///
+    /// # Safety
+    /// The block is one of the convolution's.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    pub(super) unsafe fn starts(&self) -> [__m256i; 2] {
+        // SAFETY: there is a start for every lane of every block.
+        unsafe {
+            let at = self.dense.starts.as_ptr().add(self.lane);
+            [
+                _mm256_loadu_si256(at.cast()),
+                _mm256_loadu_si256(at.add(8).cast()),
+            ]
+        }
+    }
+
+    /// The first byte of a run of the tile's first pixel.
+    ///
+    /// # Safety
+    /// The row passed `Dense::check`, and has the pixel; `run` is one of its own.
+    #[inline]
+    pub(super) unsafe fn input(&self, run: usize) -> *const u8 {
+        let Row {
+            input, base, step, ..
+        } = *self.row;
+        // SAFETY: it is in the row's input.
+        unsafe { input.as_ptr().add(base + run + self.pixel * step) }
+    }
+}
+
+/// The instructions that multiply.
+pub(super) trait Multiply {
+    /// Accumulators of a tile of `COUNT` pixels, eight lanes in a register.
+    ///
+    /// # Safety
+    /// The processor has the instructions, the row passed `Dense::check`, and the tile lies in it.
+    unsafe fn sums<const COUNT: usize>(tile: Tile<'_>) -> [[__m256i; 2]; COUNT];
+}
+
+struct Avx2;
+
+impl Multiply for Avx2 {
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    unsafe fn sums<const COUNT: usize>(tile: Tile<'_>) -> [[__m256i; 2]; COUNT] {
+        let step = tile.row.step;
+        let mut weights = tile.weights;
+        // SAFETY: as this function's.
+        let mut sums = [unsafe { tile.starts() }; COUNT];
+        let even = _mm256_set1_epi16(0xff);
+        for &run in tile.row.runs {
+            // SAFETY: as this function's.
+            let mut input = unsafe { tile.input(run) };
+            for _ in 0..tile.dense.run / 4 {
+                // SAFETY: a block has `runs * run / 4` vectors of 64 weights.
+                let halves =
+                    unsafe { [weights, weights.add(32)].map(|at| _mm256_loadu_si256(at.cast())) };
+                let evens = halves.map(|w| _mm256_srai_epi16::<8>(_mm256_slli_epi16::<8>(w)));
+                let odds = halves.map(|w| _mm256_srai_epi16::<8>(w));
+                for (number, sums) in sums.iter_mut().enumerate() {
+                    // SAFETY: four bytes of a run of a pixel of the row.
+                    let quad = unsafe { input.add(number * step).cast::<i32>().read_unaligned() };
+                    let quad = _mm256_set1_epi32(quad);
+                    let (e, o) = (_mm256_and_si256(quad, even), _mm256_srli_epi16::<8>(quad));
+                    for half in 0..2 {
+                        let products = _mm256_add_epi32(
+                            _mm256_madd_epi16(e, evens[half]),
+                            _mm256_madd_epi16(o, odds[half]),
+                        );
+                        sums[half] = _mm256_add_epi32(sums[half], products);
+                    }
+                }
+                input = input.wrapping_add(4);
+                weights = weights.wrapping_add(tile.next_weights);
+            }
+        }
+        sums
+    }
+}
+
+/// Calls `store(pixel, lane, accumulators)` for each block of each pixel, `PIXELS` at a time.
 ///
 /// # Safety
-/// The processor has AVX2, and the row passed `Dense::check`.
-#[target_feature(enable = "avx2")]
-#[inline]
-unsafe fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, usize, [__m256i; 2])) {
+/// The processor has the instructions of `M`, and the row passed `Dense::check`.
+#[inline(always)]
+unsafe fn dense<M: Multiply, const PIXELS: usize>(
+    dense: &Dense,
+    row: &Row<'_>,
+    mut store: impl FnMut(usize, usize, [__m256i; 2]),
+) {
     let mut lane = 0;
     let mut weights = dense.weights.as_ptr();
-    for group in groups(dense.blocks) {
+    for group in dense.groups() {
         for block in 0..group {
-            let place = (lane, group);
             // SAFETY: `Dense::new` packed as many starts and weights as the groups have; the pixels are the row's.
             unsafe {
-                let weights = weights.add(block * 4 * BLOCK);
+                let mut tile = Tile {
+                    dense,
+                    row,
+                    lane,
+                    weights: weights.add(block * 4 * BLOCK),
+                    next_weights: group * 4 * BLOCK,
+                    pixel: 0,
+                };
                 let whole = row.pixels / PIXELS * PIXELS;
                 for pixel in (0..whole).step_by(PIXELS) {
-                    let sums = sums::<PIXELS>(dense, row, place, weights, pixel);
-                    for (number, sums) in sums.into_iter().enumerate() {
+                    tile.pixel = pixel;
+                    for (number, sums) in M::sums::<PIXELS>(tile).into_iter().enumerate() {
                         store(pixel + number, lane, sums);
                     }
                 }
                 for pixel in whole..row.pixels {
-                    store(pixel, lane, sums::<1>(dense, row, place, weights, pixel)[0]);
+                    tile.pixel = pixel;
+                    store(pixel, lane, M::sums::<1>(tile)[0]);
                 }
             }
             lane += BLOCK;
         }
         // SAFETY: at most to the end of the weights.
-        weights = unsafe { weights.add(group * BLOCK * dense.runs * dense.run) };
+        weights = unsafe { weights.add(group * dense.block_weights()) };
+    }
+}
+
+/// A row as bytes. Inlined into a function that has the instructions.
+///
+/// # Safety
+/// As [`dense`]; `out` has room for the row.
+#[inline(always)]
+pub(super) unsafe fn bytes<M: Multiply, const PIXELS: usize>(
+    packed: &Dense,
+    row: &Row<'_>,
+    to: &ToBytes,
+    out: &mut [u8],
+    pitch: usize,
+) {
+    // SAFETY: this function's conditions; there is a factor for every lane.
+    unsafe {
+        let limits = Limits::new(to);
+        let out = out.as_mut_ptr();
+        dense::<M, PIXELS>(packed, row, |pixel, lane, sums| {
+            let factors = packed.factors.as_ptr().add(lane);
+            let low = scaled(sums[0], _mm256_loadu_ps(factors));
+            let high = scaled(sums[1], _mm256_loadu_ps(factors.add(8)));
+            let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(low, high));
+            _mm_storeu_si128(out.add(pixel * pitch + lane).cast(), limits.pack(results));
+        });
+    }
+}
+
+/// A row as f32. Inlined into a function that has the instructions.
+///
+/// # Safety
+/// As [`dense`].
+#[inline(always)]
+pub(super) unsafe fn floats<M: Multiply, const PIXELS: usize>(
+    packed: &Dense,
+    row: &Row<'_>,
+    out: &mut [f32],
+) {
+    // SAFETY: this function's conditions; there is a factor for every lane.
+    unsafe {
+        dense::<M, PIXELS>(packed, row, |pixel, lane, sums| {
+            for (half, sums) in sums.into_iter().enumerate() {
+                let lane = lane + half * 8;
+                let mut values = [0.0; 8];
+                let factors = _mm256_loadu_ps(packed.factors.as_ptr().add(lane));
+                let reals = _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors);
+                _mm256_storeu_ps(values.as_mut_ptr(), reals);
+                for (number, value) in values.into_iter().enumerate() {
+                    out[(lane + number) * row.pixels + pixel] = value;
+                }
+            }
+        });
     }
 }
 
 /// # Safety
-/// The processor has AVX2.
+/// The processor has AVX2, the row passed `Dense::check`, and `out` has room for it.
 #[target_feature(enable = "avx2")]
 pub(super) unsafe fn dense_bytes(
     packed: &Dense,
@@ -142,45 +247,16 @@ pub(super) unsafe fn dense_bytes(
     out: &mut [u8],
     pitch: usize,
 ) {
-    let limits = Limits::new(to);
-    let out = out.as_mut_ptr();
-    let store = |pixel: usize, lane: usize, sums: [__m256i; 2]| {
-        // SAFETY: there is a factor for every lane; the caller checked that `out` has room for the row.
-        unsafe {
-            let factors = packed.factors.as_ptr().add(lane);
-            let low = scaled(sums[0], _mm256_loadu_ps(factors));
-            let high = scaled(sums[1], _mm256_loadu_ps(factors.add(8)));
-            let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(low, high));
-            _mm_storeu_si128(out.add(pixel * pitch + lane).cast(), limits.pack(results));
-        }
-    };
-    // SAFETY: the caller checked the row.
-    unsafe { dense(packed, row, store) };
+    // SAFETY: as this function's.
+    unsafe { bytes::<Avx2, 4>(packed, row, to, out, pitch) }
 }
 
 /// # Safety
 /// As [`dense_bytes`].
 #[target_feature(enable = "avx2")]
 pub(super) unsafe fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
-    let store = |pixel: usize, lane: usize, sums: [__m256i; 2]| {
-        for (half, sums) in sums.into_iter().enumerate() {
-            let lane = lane + half * 8;
-            let mut values = [0.0; 8];
-            // SAFETY: there is a factor for every lane.
-            unsafe {
-                let factors = _mm256_loadu_ps(packed.factors.as_ptr().add(lane));
-                _mm256_storeu_ps(
-                    values.as_mut_ptr(),
-                    _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors),
-                );
-            }
-            for (number, value) in values.into_iter().enumerate() {
-                out[(lane + number) * row.pixels + pixel] = value;
-            }
-        }
-    };
-    // SAFETY: the caller checked the row.
-    unsafe { dense(packed, row, store) };
+    // SAFETY: as this function's.
+    unsafe { floats::<Avx2, 4>(packed, row, out) }
 }
 
 /// Sixteen channels of two taps as 16-bit pairs; 128-bit lane by lane, so channels 0 to 3 and 8 to 11, then the others.

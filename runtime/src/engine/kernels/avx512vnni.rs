@@ -7,7 +7,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, avx2, groups, portable};
+use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, avx2, portable};
 
 /// Channels that the depthwise kernel takes at a time.
 const WIDE: usize = 64;
@@ -232,7 +232,7 @@ macro_rules! tiles {
 macro_rules! channels {
     ($dense:ident, $row:ident, $method:ident($($argument:expr),*)) => {{
         let mut tile = Tile { dense: $dense, row: $row, lane: 0, weights: $dense.weights.as_ptr(), pixel: 0 };
-        for group in groups($dense.blocks) {
+        for group in $dense.groups() {
             // SAFETY: `Dense::check` held; `Dense::new` packed as many starts, factors and weights as the groups have;
             // the caller of this function checked that `out` has room.
             unsafe {

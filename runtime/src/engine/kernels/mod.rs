@@ -4,9 +4,10 @@
 //! multiple of 16 (of 4 for a tensor of at most four channels that enters from f32). Rows carry a border of pixels that
 //! hold the zero point, so that no kernel asks where the picture ends.
 //!
-//! Convolution weights are packed for instructions that multiply four neighbouring bytes of input with four of weights
-//! and add to a 32-bit lane (`vpdpbusd`): output channels in blocks of 16 lanes, blocks in groups of at most four that
-//! share what is loaded, input in runs of consecutive bytes, `[group][run][4 bytes of it][block][lane][byte]`.
+//! Convolution weights are packed for instructions that multiply some neighbouring bytes of input with as many of weights
+//! and add to a 32-bit lane (four for `vpdpbusd`): output channels in blocks of 16 lanes, blocks in groups that share
+//! what is loaded, input in runs of consecutive bytes, `[group][run][some bytes of it][block][lane][byte]`; how many
+//! bytes and blocks is the [`Packing`].
 //!
 //! # Panics
 //! Each kernel checks once per row that its slices hold what the geometry says, and panics otherwise. The schedule makes
@@ -18,6 +19,10 @@ use std::ops::RangeInclusive;
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512vnni;
+#[cfg(target_arch = "x86_64")]
+mod avxvnni;
+#[cfg(target_arch = "aarch64")]
+mod neon;
 mod portable;
 
 pub(crate) use portable::{
@@ -27,9 +32,6 @@ pub(crate) use portable::{
 
 /// Lanes of a block of output channels.
 pub(crate) const BLOCK: usize = 16;
-/// Most blocks of a group.
-const GROUP: usize = 4;
-
 /// An instruction set that the engine has kernels for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kernel {
@@ -37,13 +39,29 @@ pub enum Kernel {
     Portable,
     /// x86-64 with AVX2.
     Avx2,
+    /// x86-64 with VNNI in 256 bits: AVX-VNNI, or AVX-512 VNNI and VL.
+    AvxVnni,
     /// x86-64 with AVX-512 F, BW, VL and VNNI.
     Avx512Vnni,
+    /// Any aarch64.
+    Neon,
+    /// aarch64 with the dot product (FEAT_DotProd).
+    NeonDotprod,
+    /// aarch64 with 8-bit matrix products (FEAT_I8MM).
+    NeonI8mm,
 }
 
 impl Kernel {
-    /// All of them, the fastest last.
-    pub const ALL: [Kernel; 3] = [Kernel::Portable, Kernel::Avx2, Kernel::Avx512Vnni];
+    /// All of them, of each processor's the fastest last.
+    pub const ALL: [Kernel; 7] = [
+        Kernel::Portable,
+        Kernel::Avx2,
+        Kernel::AvxVnni,
+        Kernel::Avx512Vnni,
+        Kernel::Neon,
+        Kernel::NeonDotprod,
+        Kernel::NeonI8mm,
+    ];
 
     /// The fastest that this processor has.
     pub fn best() -> Self {
@@ -56,21 +74,50 @@ impl Kernel {
 
     /// Whether this processor has it.
     pub fn is_supported(self) -> bool {
+        #[cfg(target_arch = "x86_64")]
+        use std::arch::is_x86_feature_detected as has;
         match self {
             Kernel::Portable => true,
             #[cfg(target_arch = "x86_64")]
-            Kernel::Avx2 => std::arch::is_x86_feature_detected!("avx2"),
+            Kernel::Avx2 => has!("avx2"),
+            #[cfg(target_arch = "x86_64")]
+            Kernel::AvxVnni => {
+                has!("avx2") && (has!("avxvnni") || (has!("avx512vnni") && has!("avx512vl")))
+            }
             #[cfg(target_arch = "x86_64")]
             Kernel::Avx512Vnni => {
-                std::arch::is_x86_feature_detected!("avx512f")
-                    && std::arch::is_x86_feature_detected!("avx512bw")
-                    && std::arch::is_x86_feature_detected!("avx512vl")
-                    && std::arch::is_x86_feature_detected!("avx512vnni")
+                has!("avx512f") && has!("avx512bw") && has!("avx512vl") && has!("avx512vnni")
             }
-            #[cfg(not(target_arch = "x86_64"))]
+            #[cfg(target_arch = "aarch64")]
+            Kernel::Neon => true,
+            #[cfg(target_arch = "aarch64")]
+            Kernel::NeonDotprod => std::arch::is_aarch64_feature_detected!("dotprod"),
+            #[cfg(target_arch = "aarch64")]
+            Kernel::NeonI8mm => std::arch::is_aarch64_feature_detected!("i8mm"),
+            // Those of other processors.
             _ => false,
         }
     }
+
+    /// How it wants the weights of dense convolutions.
+    fn packing(self) -> Packing {
+        let (bytes, group) = match self {
+            Kernel::Portable | Kernel::Avx2 | Kernel::AvxVnni | Kernel::Avx512Vnni => (4, 4),
+            Kernel::Neon => (1, 1),
+            Kernel::NeonDotprod => (4, 1),
+            Kernel::NeonI8mm => (8, 1),
+        };
+        Packing { bytes, group }
+    }
+}
+
+/// In which order a kernel reads the weights of a dense convolution.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Packing {
+    /// Neighbouring bytes of a run that meet one lane in one instruction.
+    bytes: usize,
+    /// Most blocks of a group.
+    group: usize,
 }
 
 /// How accumulators become bytes.
@@ -91,6 +138,7 @@ pub(crate) struct Dense {
     runs: usize,
     /// Bytes of a run, a multiple of four.
     run: usize,
+    packing: Packing,
     weights: Vec<i8>,
     starts: Vec<i32>,
     factors: Vec<f32>,
@@ -99,6 +147,7 @@ pub(crate) struct Dense {
 impl Dense {
     /// Packs `weight(output, run, byte)`.
     pub(crate) fn new(
+        kernel: Kernel,
         outputs: usize,
         runs: usize,
         run: usize,
@@ -106,15 +155,17 @@ impl Dense {
         factors: &[f32],
         weight: impl Fn(usize, usize, usize) -> i8,
     ) -> Self {
+        let packing = kernel.packing();
         let blocks = outputs.div_ceil(BLOCK);
-        let mut weights = Vec::with_capacity(blocks * BLOCK * runs * run);
+        let mut weights =
+            Vec::with_capacity(blocks * BLOCK * runs * run.next_multiple_of(packing.bytes));
         let mut first = 0;
-        for group in groups(blocks) {
+        for group in groups(blocks, packing.group) {
             for number in 0..runs {
-                for quad in (0..run).step_by(4) {
+                for start in (0..run).step_by(packing.bytes) {
                     for output in first * BLOCK..(first + group) * BLOCK {
-                        for byte in quad..quad + 4 {
-                            weights.push(if output < outputs {
+                        for byte in start..start + packing.bytes {
+                            weights.push(if output < outputs && byte < run {
                                 weight(output, number, byte)
                             } else {
                                 0
@@ -127,6 +178,16 @@ impl Dense {
         }
         let padded = |length| length - outputs;
         let mut starts = starts.to_vec();
+        if kernel == Kernel::NeonDotprod {
+            // It multiplies signed bytes, `x - 128`.
+            for (output, start) in starts.iter_mut().enumerate() {
+                let all = (0..runs).flat_map(|number| (0..run).map(move |byte| (number, byte)));
+                let sum: i32 = all
+                    .map(|(n, byte)| i32::from(weight(output, n, byte)))
+                    .sum();
+                *start = start.wrapping_add(128 * sum);
+            }
+        }
         starts.extend(std::iter::repeat_n(0, padded(blocks * BLOCK)));
         let mut factors = factors.to_vec();
         factors.extend(std::iter::repeat_n(0.0, padded(blocks * BLOCK)));
@@ -134,10 +195,21 @@ impl Dense {
             blocks,
             runs,
             run,
+            packing,
             weights,
             starts,
             factors,
         }
+    }
+
+    /// Sizes of the groups of blocks.
+    fn groups(&self) -> impl Iterator<Item = usize> + use<> {
+        groups(self.blocks, self.packing.group)
+    }
+
+    /// Number of weights of a block.
+    fn block_weights(&self) -> usize {
+        self.weights.len() / self.blocks
     }
 
     /// Output channels, padded to whole blocks.
@@ -154,8 +226,8 @@ impl Dense {
 }
 
 /// Sizes of the groups of blocks: as few and as even as can be.
-fn groups(blocks: usize) -> impl Iterator<Item = usize> {
-    let count = blocks.div_ceil(GROUP).max(1);
+fn groups(blocks: usize, most: usize) -> impl Iterator<Item = usize> {
+    let count = blocks.div_ceil(most).max(1);
     (0..count).map(move |group| blocks / count + usize::from(group < blocks % count))
 }
 
@@ -259,11 +331,31 @@ macro_rules! dispatch {
                 unsafe { avx2::$function($($argument),*) }
             }
             #[cfg(target_arch = "x86_64")]
+            Kernel::AvxVnni => {
+                // SAFETY: as above.
+                unsafe { avxvnni::$function($($argument),*) }
+            }
+            #[cfg(target_arch = "x86_64")]
             Kernel::Avx512Vnni => {
                 // SAFETY: as above.
                 unsafe { avx512vnni::$function($($argument),*) }
             }
-            #[cfg(not(target_arch = "x86_64"))]
+            #[cfg(target_arch = "aarch64")]
+            Kernel::Neon => {
+                // SAFETY: as above.
+                unsafe { neon::plain::$function($($argument),*) }
+            }
+            #[cfg(target_arch = "aarch64")]
+            Kernel::NeonDotprod => {
+                // SAFETY: as above.
+                unsafe { neon::dotprod::$function($($argument),*) }
+            }
+            #[cfg(target_arch = "aarch64")]
+            Kernel::NeonI8mm => {
+                // SAFETY: as above.
+                unsafe { neon::i8mm::$function($($argument),*) }
+            }
+            // Those of other processors: no engine is built with one.
             _ => portable::$function($($argument),*),
         }
     };

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, groups};
+use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes};
 use crate::engine::layer::{Between, Quantization, saturate};
 
 /// Accumulators of one block of one pixel.
@@ -34,7 +34,7 @@ fn accumulate(
 fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, Range<usize>, &[i32; BLOCK])) {
     let mut first = 0;
     let mut weights = dense.weights.as_slice();
-    for group in groups(dense.blocks) {
+    for group in dense.groups() {
         for block in 0..group {
             let lanes = (first + block) * BLOCK..(first + block + 1) * BLOCK;
             for pixel in 0..row.pixels {
