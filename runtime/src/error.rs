@@ -98,6 +98,24 @@ pub enum Error {
         /// Why.
         reason: String,
     },
+    /// A data set cannot be used.
+    #[error("{path}: {reason}")]
+    DataSet {
+        /// The folder or file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A model and a frame of a data set do not go together.
+    #[error("{frame} with {model}: {source}")]
+    Frame {
+        /// The frame's folder.
+        frame: PathBuf,
+        /// The model's file.
+        model: PathBuf,
+        /// Why.
+        source: Box<Error>,
+    },
     /// An output cannot be written.
     #[error("{path}: cannot write: {reason}")]
     Write {
@@ -109,7 +127,8 @@ pub enum Error {
 }
 
 impl Error {
-    /// The exit code of the command line: 3 picture, 4 calibration, 5 model, 6 output. (2 is a wrong call.)
+    /// The exit code of the command line: 3 picture, 4 calibration, 5 model, 6 output, 7 data set. (2 is a wrong
+    /// call.)
     pub fn exit_code(&self) -> u8 {
         match self {
             Error::NetworkSize { .. } => 2,
@@ -122,6 +141,8 @@ impl Error {
             | Error::Calibration { .. } => 4,
             Error::ModelRead { .. } | Error::Contract { .. } | Error::Model { .. } => 5,
             Error::Write { .. } => 6,
+            Error::DataSet { .. } => 7,
+            Error::Frame { source, .. } => source.exit_code(),
         }
     }
 }

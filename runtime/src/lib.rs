@@ -20,6 +20,7 @@
 //! ```
 
 pub mod contract;
+pub mod evaluation;
 pub mod picture;
 pub mod render;
 

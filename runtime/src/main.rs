@@ -17,6 +17,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Run(command::run::Arguments),
+    Eval(command::eval::Arguments),
 }
 
 const EXIT_CODES: &str = "\
@@ -26,11 +27,13 @@ Exit codes:
   3  the picture cannot be used
   4  the calibration cannot be used
   5  the model cannot be used
-  6  an output cannot be written";
+  6  an output cannot be written
+  7  the data set cannot be used";
 
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => command::run::run(&arguments),
+        Command::Eval(arguments) => command::eval::run(&arguments),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tract_onnx::pb::ModelProto;
+use tract_onnx::pb::tensor_proto::DataType;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::type_proto::Value as TypeValue;
 use tract_onnx::prelude::*;
@@ -103,6 +104,41 @@ impl Model {
     /// The file it came from.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// How many numbers were learned, as far as the graph shows: its initializers but for shapes, quantization scales
+    /// and zero points, and what resizing and clipping take.
+    pub fn parameters(&self) -> u64 {
+        let graph = self.proto.graph.iter();
+        let initializers = graph.clone().flat_map(|graph| &graph.initializer);
+        let not_learned = |name: &str| {
+            let mut uses = graph
+                .clone()
+                .flat_map(|graph| &graph.node)
+                .flat_map(|node| {
+                    let inputs = node.input.iter().enumerate();
+                    inputs
+                        .filter(|(_, input)| *input == name)
+                        .map(|(index, _)| (node.op_type.as_str(), index))
+                });
+            uses.all(|(operator, index)| match operator {
+                "QuantizeLinear" | "DequantizeLinear" | "Resize" | "Clip" => index > 0,
+                "QLinearConv" | "QLinearMatMul" => !matches!(index, 3 | 8),
+                _ => false,
+            })
+        };
+        initializers
+            .filter(|tensor| {
+                tensor.data_type != DataType::Int64 as i32 && !not_learned(&tensor.name)
+            })
+            .map(|tensor| {
+                tensor
+                    .dims
+                    .iter()
+                    .map(|&n| n.max(0) as u64)
+                    .product::<u64>()
+            })
+            .sum()
     }
 
     /// Width and height of the input, where the file fixes them.

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-use image::{ImageReader, Limits, RgbImage};
+use image::{DynamicImage, ImageReader, Limits, RgbImage};
 
 use crate::Error;
 
@@ -15,6 +15,11 @@ const MAX_MEMORY: u64 = 1 << 30;
 
 /// Reads a PNG or JPEG picture. Its orientation tag is not applied: a calibration is for the stored pixels.
 pub fn read(path: &Path) -> Result<RgbImage, Error> {
+    Ok(read_any(path)?.into_rgb8())
+}
+
+/// Reads a PNG or JPEG file with the pixels that it has.
+pub(crate) fn read_any(path: &Path) -> Result<DynamicImage, Error> {
     let file = File::open(path).map_err(|source| Error::PictureRead {
         path: path.to_owned(),
         source,
@@ -29,7 +34,6 @@ pub fn read(path: &Path) -> Result<RgbImage, Error> {
         .with_guessed_format()
         .map_err(image::ImageError::IoError)
         .and_then(ImageReader::decode)
-        .map(|picture| picture.into_rgb8())
         .map_err(|source| Error::PictureDecode {
             path: path.to_owned(),
             source,

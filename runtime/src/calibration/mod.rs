@@ -119,6 +119,14 @@ impl Calibration {
         self.size
     }
 
+    /// Whether both are the same camera over the same ground, whichever files they came from.
+    pub fn same_camera(&self, other: &Self) -> bool {
+        self.size == other.size
+            && self.k == other.k
+            && self.distortion == other.distortion
+            && self.ground == other.ground
+    }
+
     /// The ground as the camera sees it.
     pub fn ground(&self) -> &Ground {
         &self.ground

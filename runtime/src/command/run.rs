@@ -1,6 +1,6 @@
 //! `gedepth run`: one picture and its calibration in, depth out.
 
-use std::io::{Cursor, Write};
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -10,7 +10,9 @@ use gedepth::{
     render,
 };
 use image::{DynamicImage, ImageFormat};
-use tempfile::NamedTempFile;
+
+use super::output::write_together;
+use super::size;
 
 /// Estimates the depth of one picture.
 ///
@@ -38,12 +40,6 @@ pub(crate) struct Arguments {
     network_size: Option<(u32, u32)>,
 }
 
-fn size(text: &str) -> Result<(u32, u32), String> {
-    text.split_once('x')
-        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)))
-        .ok_or_else(|| "expected WIDTHxHEIGHT, for example 640x192".to_owned())
-}
-
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let clock = Instant::now();
     let image = picture::read(&arguments.picture)?;
@@ -64,7 +60,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     )?;
     let preparation = clock.elapsed();
     let estimate = estimator.run(picture)?;
-    write_together(&arguments.out, &rendered(&estimate, &arguments.out)?)?;
+    write_together(&rendered(&estimate, &arguments.out)?)?;
 
     let contract = model.contract();
     let placement = estimate.placement;
@@ -121,8 +117,8 @@ fn range(metres: &[f32]) -> (f32, f32) {
     )
 }
 
-/// The outputs as encoded files: name and bytes.
-fn rendered(estimate: &Estimate<'_>, dir: &Path) -> Result<Vec<(&'static str, Vec<u8>)>, Error> {
+/// The outputs as encoded files: path and bytes.
+fn rendered(estimate: &Estimate<'_>, dir: &Path) -> Result<Vec<(PathBuf, Vec<u8>)>, Error> {
     let map = |values| render::Map {
         width: estimate.size.0,
         values,
@@ -151,40 +147,7 @@ fn rendered(estimate: &Estimate<'_>, dir: &Path) -> Result<Vec<(&'static str, Ve
                     path: dir.join(name),
                     reason: e.to_string(),
                 })?;
-            Ok((name, bytes.into_inner()))
+            Ok((dir.join(name), bytes.into_inner()))
         })
         .collect()
-}
-
-/// Writes all files or none: each beside its place first, all renamed once all are complete.
-fn write_together(dir: &Path, files: &[(&str, Vec<u8>)]) -> Result<(), Error> {
-    let failed = |path: PathBuf| {
-        move |e: std::io::Error| Error::Write {
-            path,
-            reason: e.to_string(),
-        }
-    };
-    std::fs::create_dir_all(dir).map_err(failed(dir.to_owned()))?;
-    let mut complete = Vec::new();
-    for (name, bytes) in files {
-        let beside = || {
-            let mut file = beside_the_output(dir)?;
-            file.write_all(bytes)?;
-            file.as_file().sync_all()?;
-            Ok(file)
-        };
-        complete.push((dir.join(name), beside().map_err(failed(dir.join(name)))?));
-    }
-    for (path, file) in complete {
-        file.persist(&path).map_err(|e| failed(path)(e.error))?;
-    }
-    Ok(())
-}
-
-/// A file with the permissions of any other new file: without them only its owner could read it.
-fn beside_the_output(dir: &Path) -> std::io::Result<NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.prefix(".gedepth-").tempfile_in(dir)
 }
