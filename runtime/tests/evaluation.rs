@@ -317,7 +317,9 @@ fn frames_that_cannot_be_read_are_named() {
     fs::remove_file(set.path().join("small.png")).unwrap();
     let picture = fs::read(case().join("masked/image.png")).unwrap();
     let calibration = fs::read_to_string(case().join("masked/calibration.json")).unwrap();
-    let other_size = calibration.replacen("\"width\": 96", "\"width\": 97", 1).into_bytes();
+    let other_size = calibration
+        .replacen("\"width\": 96", "\"width\": 97", 1)
+        .into_bytes();
     for (file, bytes, code, words) in [
         ("image.png", None, PICTURE_ERROR, vec!["cannot read"]),
         (
