@@ -9,7 +9,7 @@ use std::process::{Command, Output};
 use gedepth::evaluation::{
     CropRule, DataSet, ErrorScores, Evaluator, Frame, GroundFrom, Metrics, Protocol, Scores,
 };
-use gedepth::{Estimate, Placement, StageTimes};
+use gedepth::{Estimate, Model, Placement, StageTimes};
 use gedepth_core::fusion::DepthRange;
 use gedepth_core::metrics::CloudMetrics;
 use serde_json::{Value, json};
@@ -277,6 +277,19 @@ fn writes_tables_numbers_and_depth() {
         tables.contains("| **all** | baseline-int8 | 3 |"),
         "{tables}"
     );
+}
+
+/// Scales and zero points are not parameters: a network has as many in f32 as quantized.
+#[test]
+fn quantization_adds_no_parameters() {
+    for mode in ["baseline", "vanilla", "adaptive"] {
+        let [f32, int8] = ["f32", "int8"].map(|precision| {
+            let path = model(&format!("{mode}-{precision}"));
+            Model::from_file(&path).unwrap().parameters()
+        });
+        assert!(f32 > 1_000_000);
+        assert_eq!(f32, int8, "{mode}");
+    }
 }
 
 #[test]
