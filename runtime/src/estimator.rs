@@ -8,11 +8,11 @@ use gedepth_core::fusion::{
     AttentionHead, DecodeAt, FusedMaps, Fusion, HeadMap, ResidualHead, Samples, SlopeHead,
     scratch_len,
 };
-use gedepth_core::table::{GroundRows, GroundView, depth_from_inverse, write_depth};
+use gedepth_core::table::{GroundRows, GroundView, write_depth};
 
 use crate::Error;
 use crate::calibration::Calibration;
-use crate::contract::{Channel, Contract, GroundChannel};
+use crate::contract::Contract;
 use crate::model::{Model, Network, Outputs, Size};
 use crate::preprocess::{Picture, Placement, Preprocessor};
 use crate::vectors::widest;
@@ -109,18 +109,9 @@ impl Estimator {
         let network_camera = scaled(placement.network).map_err(unfit_camera)?;
         let mut plane = vec![0.0; network_camera.size().pixels()];
         GroundView::build(&mut plane, &network_camera, ground).map_err(unfit_camera)?;
-        network.fill_input(|input| {
-            for (channel, values) in contract
-                .channels
-                .iter()
-                .zip(input.chunks_exact_mut(plane.len()))
-            {
-                if let Channel::Ground(form) = channel {
-                    for (value, &inverse) in values.iter_mut().zip(&plane) {
-                        *value = ground_value(*form, inverse, &contract);
-                    }
-                }
-            }
+        let mut preprocessor = Preprocessor::new(&contract, picture, &placement);
+        network.fill_input(|entrance| {
+            preprocessor.prepare(&contract, &plane, entrance);
             Ok(())
         })?;
 
@@ -135,10 +126,10 @@ impl Estimator {
         let farthest = contract.depth_range.max();
         let mut ground_depth = vec![0.0; pixels];
         write_depth(&view, farthest, &mut ground_depth).map_err(unfit_camera)?;
-        Ok(Self {
+        let mut estimator = Self {
             placement,
             picture,
-            preprocessor: Preprocessor::new(&contract, placement),
+            preprocessor,
             network,
             fusion: Fusion::new(contract.upsampling, contract.depth_range, farthest)
                 .map_err(unfit_model)?,
@@ -157,7 +148,13 @@ impl Estimator {
                 }
             ],
             contract,
-        })
+        };
+        // So that no real picture waits for memory to be mapped, or grows a buffer.
+        let black = vec![0; 3 * picture.0 as usize * picture.1 as usize];
+        if let Some(black) = Picture::new(picture, &black) {
+            estimator.run(black)?;
+        }
+        Ok(estimator)
     }
 
     /// Which part of the picture the network sees, and at which size.
@@ -175,7 +172,7 @@ impl Estimator {
         }
         let start = Instant::now();
         self.network
-            .fill_input(|input| self.preprocessor.fill(picture, input))?;
+            .fill_input(|entrance| self.preprocessor.fill(picture, entrance))?;
         let filled = Instant::now();
         let heads = self.network.run()?;
         let inferred = Instant::now();
@@ -224,19 +221,6 @@ fn outputs(contract: &Contract) -> Vec<&str> {
         .into_iter()
         .flatten()
         .collect()
-}
-
-/// What a ground channel holds where the inverse ground depth is `inverse` (1/m).
-fn ground_value(form: GroundChannel, inverse: f32, contract: &Contract) -> f32 {
-    let (scale, limit) = (contract.ground_scale_m, contract.ground_limit);
-    match form {
-        GroundChannel::InverseDepth => (scale * inverse).clamp(-limit, limit),
-        GroundChannel::Depth => {
-            let z = depth_from_inverse(inverse);
-            if z <= limit { z / scale } else { 0.0 }
-        }
-        GroundChannel::DepthUnfiltered => 1.0 / inverse,
-    }
 }
 
 /// From the heads to depth.

@@ -30,6 +30,7 @@ mod error;
 mod estimator;
 mod model;
 mod preprocess;
+mod resample;
 mod vectors;
 
 pub use calibration::{Calibration, Camera, json, kitti};

@@ -18,6 +18,7 @@ struct Arguments {
 enum Command {
     Run(command::run::Arguments),
     Eval(command::eval::Arguments),
+    Bench(command::bench::Arguments),
 }
 
 const EXIT_CODES: &str = "\
@@ -34,6 +35,7 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => command::run::run(&arguments),
         Command::Eval(arguments) => command::eval::run(&arguments),
+        Command::Bench(arguments) => command::bench::run(&arguments),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -13,7 +13,7 @@ use tract_onnx::prelude::*;
 
 use crate::Error;
 use crate::contract::Contract;
-use crate::engine::{self, Engine, Whole};
+use crate::engine::{self, Engine, Entrance, Whole};
 
 /// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
 static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onnx");
@@ -215,17 +215,19 @@ fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, 
 /// Who runs a network.
 enum Plan {
     /// tract, with or without islands of the engine in it.
-    Tract(Arc<TypedRunnableModel>),
+    Tract {
+        plan: Arc<TypedRunnableModel>,
+        /// `[1, channels, height, width]`; taken by a run and given back after it.
+        input: Arc<Tensor>,
+    },
     /// The engine alone, without an allocation per run.
-    Engine(Whole),
+    Engine(Box<Whole>),
 }
 
 /// A network bound to a size, ready to run.
 pub(crate) struct Network {
     path: PathBuf,
     plan: Plan,
-    /// `[1, channels, height, width]`; taken by a run and given back after it.
-    input: Arc<Tensor>,
     /// Where each output that was asked for is among the plan's.
     outputs: Vec<usize>,
 }
@@ -268,10 +270,13 @@ impl Network {
             guarded(|| {
                 let mut onnx = tract_onnx::onnx();
                 engine::register(&mut onnx);
-                onnx.model_for_proto_model(proto)?
+                let plan = onnx
+                    .model_for_proto_model(proto)?
                     .with_input_fact(0, f32::fact(shape).into())?
                     .into_optimized()?
-                    .into_runnable()
+                    .into_runnable()?;
+                let input = Arc::new(Tensor::zero::<f32>(&shape)?);
+                Ok(Plan::Tract { plan, input })
             })
         };
         // What the engine cannot do, tract does; what it cannot do after all, too.
@@ -281,52 +286,48 @@ impl Network {
             .as_ref()
             .and_then(|split| Whole::new(split, [channels, height, width]));
         let plan = match (whole, split) {
-            (Some(whole), _) => Plan::Engine(whole),
-            (None, Some(split)) => Plan::Tract(
-                plan(&split)
-                    .or_else(|_| plan(&model.proto))
-                    .map_err(unfit)?,
-            ),
-            (None, None) => Plan::Tract(plan(&model.proto).map_err(unfit)?),
+            (Some(whole), _) => Plan::Engine(Box::new(whole)),
+            (None, Some(split)) => plan(&split)
+                .or_else(|_| plan(&model.proto))
+                .map_err(unfit)?,
+            (None, None) => plan(&model.proto).map_err(unfit)?,
         };
-        let input = guarded(|| Tensor::zero::<f32>(&shape)).map_err(unfit)?;
         Ok(Self {
             path: model.path.clone(),
             plan,
-            input: Arc::new(input),
             outputs,
         })
     }
 
-    /// Lets `fill` write the input's planes, `[channels, height, width]`; they stay from run to run.
+    /// Lets `fill` write the input.
     pub(crate) fn fill_input(
         &mut self,
-        fill: impl FnOnce(&mut [f32]) -> Result<(), Error>,
+        fill: impl FnOnce(Entrance<'_>) -> Result<(), String>,
     ) -> Result<(), Error> {
-        let input = Arc::make_mut(&mut self.input);
-        match input
-            .try_as_plain_ram_mut()
-            .and_then(|mut plain| Ok(fill(plain.as_slice_mut()?)))
-        {
-            Ok(filled) => filled,
-            Err(e) => Err(Error::Model {
-                path: self.path.clone(),
-                reason: e.to_string(),
+        let filled = match &mut self.plan {
+            Plan::Engine(whole) => guarded(|| Ok(fill(whole.entrance()))),
+            Plan::Tract { input, .. } => guarded(|| {
+                let mut plain = Arc::make_mut(input).try_as_plain_ram_mut()?;
+                Ok(fill(Entrance::Planes(plain.as_slice_mut()?)))
             }),
-        }
+        };
+        filled
+            .and_then(|filled| filled)
+            .map_err(|reason| Error::Model {
+                path: self.path.clone(),
+                reason,
+            })
     }
 
     /// Runs the network on its input.
     pub(crate) fn run(&mut self) -> Result<Outputs<'_>, Error> {
         let values = match &mut self.plan {
-            Plan::Tract(plan) => {
-                guarded(|| plan.run(tvec!(self.input.clone().into_tvalue()))).map(Values::Tract)
+            Plan::Tract { plan, input } => {
+                guarded(|| plan.run(tvec!(input.clone().into_tvalue()))).map(Values::Tract)
             }
-            Plan::Engine(whole) => {
-                guarded(|| Ok(whole.run(self.input.try_as_plain_ram()?.as_slice()?)))
-                    .and_then(|ran| ran)
-                    .map(|()| Values::Engine(whole))
-            }
+            Plan::Engine(whole) => guarded(|| Ok(whole.run()))
+                .and_then(|ran| ran)
+                .map(|()| Values::Engine(whole)),
         };
         Ok(Outputs {
             path: &self.path,
@@ -422,10 +423,7 @@ mod tests {
         let mut network = Network::new(&model, (96, 64), &outputs).expect("a network");
         let input = tensor(&golden.join("input.pb"));
         network
-            .fill_input(|planes| {
-                planes.copy_from_slice(&input);
-                Ok(())
-            })
+            .fill_input(|entrance| entrance.write_planes(&input))
             .expect("filled");
         let values = network.run().expect("outputs");
         let compare = |(index, output): (usize, &&str)| {

@@ -1,12 +1,15 @@
 //! From the picture to the network's input: which part of the picture, at which size, and its normalised planes.
 
-use fast_image_resize::images::{TypedImage, TypedImageRef};
-use fast_image_resize::pixels::U8x3;
-use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
+use std::sync::{Mutex, PoisonError};
+
+use gedepth_core::table::depth_from_inverse;
 
 use crate::Error;
-use crate::contract::{Channel, Contract, Fit};
+use crate::contract::{Channel, Contract, Fit, GroundChannel};
+use crate::engine::Entrance;
 use crate::model::{Model, Size};
+use crate::resample::{Resampler, Scratch};
+use crate::vectors::widest;
 
 /// A picture: RGB, 8 bits, row by row from the top left, without padding.
 #[derive(Clone, Copy, Debug)]
@@ -144,73 +147,132 @@ impl Placement {
 
 /// Resamples and normalises pictures for one network at one placement; owns the memory for it.
 pub(crate) struct Preprocessor {
-    options: ResizeOptions,
-    resizer: Resizer,
-    /// The region at the network's size.
-    resized: TypedImage<'static, U8x3>,
-    /// For each channel of the input: the colour's place in a pixel, the factor and the summand; `None` for the ground.
-    channels: Vec<Option<(usize, f32, f32)>>,
+    resampler: Resampler,
+    network: [usize; 2],
+    /// For each channel of the input, where it comes from.
+    channels: Vec<Source>,
+    /// What each of the network's threads resamples with.
+    scratch: Vec<Mutex<Scratch>>,
+}
+
+/// Where a channel of the input comes from.
+enum Source {
+    /// A colour: its place in a pixel, and what each byte of it becomes.
+    Colour(usize, Box<[f32; 256]>),
+    /// The ground: the same for every picture.
+    Ground(GroundChannel),
 }
 
 impl Preprocessor {
-    pub(crate) fn new(contract: &Contract, placement: Placement) -> Self {
-        let (width, height) = placement.network;
+    /// For pictures of the size `picture`.
+    pub(crate) fn new(contract: &Contract, picture: Size, placement: &Placement) -> Self {
         let colour = |i: usize| {
-            Some((
-                i,
-                1.0 / contract.std[i],
-                -contract.mean[i] / contract.std[i],
-            ))
+            let (scale, shift) = (1.0 / contract.std[i], -contract.mean[i] / contract.std[i]);
+            let mut values = Box::new([0.0; 256]);
+            for (byte, value) in (0..=255_u8).zip(&mut *values) {
+                *value = f32::from(byte) * scale + shift;
+            }
+            Source::Colour(i, values)
+        };
+        let source = |channel: &Channel| match channel {
+            Channel::Red => colour(0),
+            Channel::Green => colour(1),
+            Channel::Blue => colour(2),
+            Channel::Ground(form) => Source::Ground(*form),
         };
         Self {
-            // A triangle filter as wide as the reduction: no aliasing.
-            options: ResizeOptions::new()
-                .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
-                .use_alpha(false)
-                .crop(
-                    placement.left.into(),
-                    placement.top.into(),
-                    placement.region.0.into(),
-                    placement.region.1.into(),
-                ),
-            resizer: Resizer::new(),
-            resized: TypedImage::new(width, height),
-            channels: contract
-                .channels
-                .iter()
-                .map(|channel| match channel {
-                    Channel::Red => colour(0),
-                    Channel::Green => colour(1),
-                    Channel::Blue => colour(2),
-                    Channel::Ground(_) => None,
-                })
-                .collect(),
+            resampler: Resampler::new(picture, placement),
+            network: [placement.network.1, placement.network.0].map(|side| side as usize),
+            channels: contract.channels.iter().map(source).collect(),
+            scratch: Vec::new(),
         }
     }
 
-    /// Writes the colour planes of `input`, `[channels, height, width]`; planes of the ground are left as they are.
-    pub(crate) fn fill(&mut self, picture: Picture<'_>, input: &mut [f32]) -> Result<(), Error> {
-        let (width, height) = picture.size;
-        let unfit = |reason: String| Error::PictureUnfit {
-            actual: picture.size,
-            reason,
-        };
-        let source = TypedImageRef::<U8x3>::from_buffer(width, height, picture.rgb)
-            .map_err(|e| unfit(e.to_string()))?;
-        // Typed, because the untyped call compiles every pixel format there is.
-        self.resizer
-            .resize_typed(&source, &mut self.resized, &self.options)
-            .map_err(|e| unfit(e.to_string()))?;
-        let pixels = self.resized.pixels();
-        let plane_len = pixels.len();
-        for (channel, plane) in self.channels.iter().zip(input.chunks_exact_mut(plane_len)) {
-            if let &Some((colour, scale, shift)) = channel {
-                for (value, pixel) in plane.iter_mut().zip(pixels) {
-                    *value = f32::from(pixel.0[colour]) * scale + shift;
+    /// Writes what does not depend on the picture. `ground` is the network's pixels' inverse ground depth, 1/m.
+    pub(crate) fn prepare(&mut self, contract: &Contract, ground: &[f32], entrance: Entrance<'_>) {
+        let value = |form| move |&inverse: &f32| ground_value(form, inverse, contract);
+        let threads = match entrance {
+            Entrance::Planes(planes) => {
+                for (plane, source) in planes.chunks_exact_mut(ground.len()).zip(&self.channels) {
+                    if let &Source::Ground(form) = source {
+                        for (out, inverse) in plane.iter_mut().zip(ground) {
+                            *out = value(form)(inverse);
+                        }
+                    }
                 }
+                1
             }
+            Entrance::Pixels(entrance) => {
+                for (channel, source) in self.channels.iter().enumerate() {
+                    match source {
+                        Source::Colour(colour, values) => {
+                            entrance
+                                .pixels
+                                .set_colour(channel, *colour, |byte| values[usize::from(byte)]);
+                        }
+                        Source::Ground(form) => {
+                            entrance
+                                .pixels
+                                .set_constant(channel, ground.iter().map(value(*form)));
+                        }
+                    }
+                }
+                entrance.threads()
+            }
+        };
+        self.scratch = (0..threads)
+            .map(|_| Mutex::new(self.resampler.scratch()))
+            .collect();
+    }
+
+    /// Writes what does; allocates nothing. After [`Preprocessor::prepare`], for the same network.
+    ///
+    /// # Panics
+    /// Where the picture is not of the size that this was made for.
+    pub(crate) fn fill(&self, picture: Picture<'_>, entrance: Entrance<'_>) -> Result<(), String> {
+        match entrance {
+            Entrance::Planes(planes) => {
+                let [height, width] = self.network;
+                for y in 0..height {
+                    self.row(picture, y, 0, |x, rgb| {
+                        let channels = self
+                            .channels
+                            .iter()
+                            .zip(planes.chunks_exact_mut(height * width));
+                        for (source, plane) in channels {
+                            if let Source::Colour(colour, values) = source {
+                                plane[y * width + x] = values[usize::from(rgb[*colour])];
+                            }
+                        }
+                    });
+                }
+                Ok(())
+            }
+            Entrance::Pixels(mut pixels) => pixels.write(|thread, y, mut row| {
+                self.row(picture, y, thread, |x, rgb| row.put(x, rgb));
+            }),
         }
-        Ok(())
+    }
+
+    /// Calls `put(x, red green blue)` for every pixel of row `y` at the network's size.
+    fn row(&self, picture: Picture<'_>, y: usize, thread: usize, put: impl FnMut(usize, [u8; 3])) {
+        let mut scratch = self.scratch[thread]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        widest(|| self.resampler.row(picture.rgb, y, &mut scratch, put));
+    }
+}
+
+/// What a ground channel holds where the inverse ground depth is `inverse` (1/m).
+fn ground_value(form: GroundChannel, inverse: f32, contract: &Contract) -> f32 {
+    let (scale, limit) = (contract.ground_scale_m, contract.ground_limit);
+    match form {
+        GroundChannel::InverseDepth => (scale * inverse).clamp(-limit, limit),
+        GroundChannel::Depth => {
+            let z = depth_from_inverse(inverse);
+            if z <= limit { z / scale } else { 0.0 }
+        }
+        GroundChannel::DepthUnfiltered => 1.0 / inverse,
     }
 }
 
@@ -218,7 +280,8 @@ impl Preprocessor {
 #[allow(clippy::expect_used)]
 mod tests {
     use super::*;
-    use crate::contract::GroundChannel;
+    use crate::engine::{Engine, Kernel};
+    use crate::model::Network;
 
     fn contract(entries: &[(&str, &str)]) -> Contract {
         let all = [
@@ -235,6 +298,16 @@ mod tests {
             ("gedepth.depth_range_m", "0.5,80"),
         ];
         Contract::from_metadata(all.into_iter().chain(entries.iter().copied())).expect("a contract")
+    }
+
+    /// Writes the colours of a picture; the ground is flat and infinitely far.
+    fn fill(contract: &Contract, placement: &Placement, picture: Picture<'_>, planes: &mut [f32]) {
+        let ground = vec![0.0; planes.len() / contract.channels.len()];
+        let mut preprocessor = Preprocessor::new(contract, picture.size(), placement);
+        preprocessor.prepare(contract, &ground, Entrance::Planes(planes));
+        preprocessor
+            .fill(picture, Entrance::Planes(planes))
+            .expect("filled");
     }
 
     fn place(
@@ -258,9 +331,7 @@ mod tests {
         let bytes: Vec<u8> = (0..32 * 32 * 3).map(|i| (i * 7 % 256) as u8).collect();
         let picture = Picture::new((32, 32), &bytes).expect("a picture");
         let mut planes = vec![0.0; 3 * 32 * 32];
-        Preprocessor::new(&contract, placement)
-            .fill(picture, &mut planes)
-            .expect("filled");
+        fill(&contract, &placement, picture, &mut planes);
         for (i, pixel) in bytes.chunks_exact(3).enumerate() {
             // Blue first, as the contract says; mean and deviation stay with their colours.
             let expected = [
@@ -275,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_of_the_ground_are_left_alone() {
+    fn planes_of_the_ground_show_the_ground() {
         let mut contract = contract(&[]);
         contract
             .channels
@@ -289,10 +360,8 @@ mod tests {
         let bytes = vec![200; 64 * 64 * 3];
         let mut planes = vec![-7.0; 4 * 32 * 32];
         let picture = Picture::new((64, 64), &bytes).expect("a picture");
-        Preprocessor::new(&contract, placement)
-            .fill(picture, &mut planes)
-            .expect("filled");
-        assert!(planes[1024..2048].iter().all(|&x| x == -7.0));
+        fill(&contract, &placement, picture, &mut planes);
+        assert!(planes[1024..2048].iter().all(|&x| x == 0.0));
         assert!(
             planes[..1024]
                 .iter()
@@ -315,9 +384,7 @@ mod tests {
             .collect();
         let picture = Picture::new((256, 128), &bytes).expect("a picture");
         let mut planes = vec![0.0; 3 * 64 * 32];
-        Preprocessor::new(&contract, placement)
-            .fill(picture, &mut planes)
-            .expect("filled");
+        fill(&contract, &placement, picture, &mut planes);
         for v in 2..30 {
             for u in 2..62 {
                 // Where the pixel's centre was in the picture.
@@ -427,5 +494,56 @@ mod tests {
         assert!(Picture::new((2, 2), &[0; 13]).is_none());
         assert!(Picture::new((0, 2), &[]).is_none());
         assert!(Picture::new((u32::MAX, u32::MAX), &[0; 3]).is_none());
+    }
+
+    /// The tables of bytes say what QuantizeLinear makes of the normalised planes, ground included.
+    #[test]
+    fn pixels_enter_the_network_as_its_first_layer_would_quantize_them() {
+        let engine = Engine::Quantized {
+            kernel: Kernel::Portable,
+            threads: 2,
+        };
+        let model = Model::embedded().expect("a model").with_engine(engine);
+        let contract = model.contract();
+        let picture_size = (70, 50);
+        let placement = Placement {
+            left: 3,
+            top: 2,
+            region: (66, 48),
+            network: (64, 32),
+        };
+        let bytes: Vec<u8> = (0..70 * 50 * 3).map(|i| (i * i / 7 % 256) as u8).collect();
+        let picture = Picture::new(picture_size, &bytes).expect("a picture");
+        let ground: Vec<f32> = (0..64 * 32).map(|i| i as f32 * 4e-4 - 0.4).collect();
+        let mut preprocessor = Preprocessor::new(contract, picture_size, &placement);
+        let mut planes = vec![0.0; contract.channels.len() * ground.len()];
+        preprocessor.prepare(contract, &ground, Entrance::Planes(&mut planes));
+        preprocessor
+            .fill(picture, Entrance::Planes(&mut planes))
+            .expect("filled");
+        let outputs = ["residual", "attention", "slope"];
+        let mut network = Network::new(&model, placement.network, &outputs).expect("a network");
+        let heads = |network: &mut Network| -> Vec<f32> {
+            let values = network.run().expect("outputs");
+            let head = |index| values.head(index).expect("a head").0.to_vec();
+            [0, 1, 2].map(head).concat()
+        };
+        network
+            .fill_input(|entrance| {
+                assert!(matches!(entrance, Entrance::Pixels(_)));
+                entrance.write_planes(&planes)
+            })
+            .expect("filled");
+        let from_planes = heads(&mut network);
+        network
+            .fill_input(|entrance| {
+                preprocessor.prepare(contract, &ground, entrance);
+                Ok(())
+            })
+            .expect("filled");
+        network
+            .fill_input(|entrance| preprocessor.fill(picture, entrance))
+            .expect("filled");
+        assert_eq!(heads(&mut network), from_planes);
     }
 }

@@ -401,3 +401,32 @@ fn wrong_calls_are_refused() {
         assert_eq!(output.status.code(), Some(2), "{more:?}");
     }
 }
+
+#[test]
+fn bench_measures_every_stage() {
+    let bench = |more: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_gedepth"))
+            .arg("bench")
+            .arg(scene().join("image.png"))
+            .arg("--calibration")
+            .arg(scene().join("calibration.json"))
+            .args(["--network-size", "320x96", "--threads", "1"])
+            .args(more)
+            .output()
+            .unwrap();
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{message}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let table = bench(&["--runs", "3"]);
+    for word in ["320 x 96", "preprocess", "network", "fusion", "all", "p99"] {
+        assert!(table.contains(word), "{table}");
+    }
+    let raw = bench(&["--runs", "3", "--raw"]);
+    let numbers: Vec<Vec<f64>> = raw
+        .lines()
+        .map(|run| run.split(' ').map(|n| n.parse().unwrap()).collect())
+        .collect();
+    assert_eq!(numbers.len(), 3, "{raw}");
+    assert!(numbers.iter().all(|run| run.len() == 3), "{raw}");
+}

@@ -1,6 +1,8 @@
 //! The subcommands, one file each, and what they share: how outputs are written.
 
+pub(crate) mod bench;
 pub(crate) mod eval;
+pub(crate) mod inputs;
 pub(crate) mod output;
 pub(crate) mod run;
 

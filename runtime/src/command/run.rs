@@ -2,17 +2,13 @@
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use clap::Args;
-use gedepth::{
-    Calibration, Error, Estimate, Estimator, Model, OutputSize, Picture, StageTimes, picture,
-    render,
-};
+use gedepth::{Error, Estimate, OutputSize, Picture, StageTimes, render};
 use image::{DynamicImage, ImageFormat};
 
+use super::inputs::{Inputs, Opened};
 use super::output::write_together;
-use super::size;
 
 /// Estimates the depth of one picture.
 ///
@@ -23,42 +19,22 @@ use super::size;
 #[derive(Args)]
 #[command(after_help = super::super::EXIT_CODES)]
 pub(crate) struct Arguments {
-    /// PNG or JPEG file, as the camera made it: unscaled and uncropped
-    picture: PathBuf,
-    /// Calibration: this project's JSON file; KITTI object, tracking or odometry; or KITTI raw's calib_cam_to_cam.txt,
-    /// with calib_velo_to_cam.txt beside it
-    #[arg(long, value_name = "FILE")]
-    calibration: PathBuf,
-    /// ONNX file with a gedepth contract [default: a quantized adaptive model inside the program]
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
+    #[command(flatten)]
+    inputs: Inputs,
     /// Folder for the outputs; made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Size at which the network runs, instead of the one that the picture's proportions and the model ask for
-    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
-    network_size: Option<(u32, u32)>,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
-    let clock = Instant::now();
-    let image = picture::read(&arguments.picture)?;
-    let decode = clock.elapsed();
+    let Opened {
+        image,
+        model,
+        mut estimator,
+        decode,
+        prepare,
+    } = arguments.inputs.open(OutputSize::Picture)?;
     let picture = Picture::from(&image);
-    let calibration = Calibration::read(&arguments.calibration)?;
-    let clock = Instant::now();
-    let model = match &arguments.model {
-        Some(path) => Model::from_file(path)?,
-        None => Model::embedded()?,
-    };
-    let mut estimator = Estimator::new(
-        &model,
-        &calibration,
-        picture.size(),
-        arguments.network_size,
-        OutputSize::Picture,
-    )?;
-    let preparation = clock.elapsed();
     let estimate = estimator.run(picture)?;
     write_together(&rendered(&estimate, &arguments.out)?)?;
 
@@ -95,7 +71,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         ("decode", decode, ""),
         (
             "prepare",
-            preparation,
+            prepare,
             "  once per camera: plan of the network, ground table",
         ),
         ("preprocess", preprocess, ""),

@@ -13,6 +13,7 @@ mod island;
 mod kernels;
 mod layer;
 mod operator;
+mod pixels;
 mod recognize;
 mod schedule;
 mod threads;
@@ -22,7 +23,7 @@ use tract_onnx::pb::ModelProto;
 
 pub use kernels::Kernel;
 pub(crate) use operator::register;
-pub(crate) use whole::Whole;
+pub(crate) use whole::{Entrance, Whole};
 
 /// How a model's quantized layers are run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

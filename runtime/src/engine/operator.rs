@@ -12,7 +12,7 @@ use super::island::{BODY, ISLAND, Island};
 use super::kernels::Kernel;
 use super::layer::Shape;
 use super::recognize::attribute;
-use super::schedule::Schedule;
+use super::schedule::{Inputs, Schedule};
 
 /// Names of the attributes of an island's node that say how to run it.
 const THREADS: &str = "threads";
@@ -225,7 +225,7 @@ impl EvalOp for Operator {
             .map(|view| Ok(Shared::new(view.as_slice_mut::<f32>()?)))
             .collect::<TractResult<_>>()?;
         schedule
-            .run(&reads, &writes)
+            .run(Inputs::Planes(&reads), &writes)
             .map_err(|reason| format_err!(reason))?;
         drop(writes);
         drop(views);

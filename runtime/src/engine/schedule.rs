@@ -170,12 +170,23 @@ struct Step {
 pub(crate) struct Schedule {
     kernel: Kernel,
     steps: Vec<Step>,
+    /// What the first step writes, where bytes can be written instead of quantizing the only input.
+    entrance: Option<(Buffer, Quantization)>,
     arena: Arena,
     team: Team,
     /// A row of f32 for each member.
     scratch: Vec<Mutex<Vec<f32>>>,
     inputs: Vec<Shape>,
     outputs: Vec<Shape>,
+}
+
+/// What a schedule runs on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Inputs<'a> {
+    /// The island's f32 tensors, planar.
+    Planes(&'a [&'a [f32]]),
+    /// What [`Schedule::enter`] wrote.
+    Entered,
 }
 
 impl Schedule {
@@ -210,6 +221,7 @@ impl Schedule {
             .collect();
         Ok(Self {
             kernel,
+            entrance: entrance(&steps),
             steps,
             arena: Arena::new(arena),
             team,
@@ -224,24 +236,51 @@ impl Schedule {
         &self.outputs
     }
 
-    /// Runs the island: planar f32 in, planar f32 out.
+    /// How the bytes that [`Schedule::enter`] writes stand for real numbers; `None` where it cannot be called.
+    pub(crate) fn entrance_quantization(&self) -> Option<Quantization> {
+        self.entrance.map(|(_, quantization)| quantization)
+    }
+
+    /// Number of threads that run it.
+    pub(crate) fn members(&self) -> usize {
+        self.scratch.len()
+    }
+
+    /// Writes the only input's bytes, four a pixel: `row(member, y, bytes)` for each of its rows.
+    pub(crate) fn enter(
+        &mut self,
+        row: &(dyn Fn(usize, usize, &mut [u8]) + Sync),
+    ) -> Result<(), String> {
+        let (buffer, _) = self.entrance.ok_or("the island takes f32")?;
+        let arena = Shared::new(self.arena.bytes());
+        let whole = self.team.run(&|member: &Member<'_>| {
+            write_rows(&arena, &buffer, member.share(buffer.height), |y, out| {
+                row(member.number, y, out)
+            });
+        });
+        whole.then_some(()).ok_or_else(panicked)
+    }
+
+    /// Runs the island; planar f32 out.
     pub(crate) fn run(
         &mut self,
-        inputs: &[&[f32]],
+        inputs: Inputs<'_>,
         outputs: &[Shared<'_, f32>],
     ) -> Result<(), String> {
-        let fits = |shape: &Shape, tensor: &&[f32]| shape.iter().product::<usize>() == tensor.len();
-        if inputs.len() != self.inputs.len()
-            || !self
-                .inputs
-                .iter()
-                .zip(inputs)
-                .all(|(shape, input)| fits(shape, input))
-        {
-            return Err(
-                "the island's inputs are not of the sizes that it was planned for".to_owned(),
-            );
-        }
+        let fits = |planes: &[&[f32]]| {
+            let mut pairs = self.inputs.iter().zip(planes);
+            self.inputs.len() == planes.len()
+                && pairs.all(|(shape, plane)| shape.iter().product::<usize>() == plane.len())
+        };
+        let (inputs, steps) = match inputs {
+            Inputs::Planes(planes) if !fits(planes) => {
+                return Err(
+                    "the island's inputs are not of the sizes that it was planned for".to_owned(),
+                );
+            }
+            Inputs::Planes(planes) => (planes, &self.steps[..]),
+            Inputs::Entered => (&[][..], &self.steps[1..]),
+        };
         let run = Run {
             kernel: self.kernel,
             arena: Shared::new(self.arena.bytes()),
@@ -250,7 +289,6 @@ impl Schedule {
             shapes: &self.inputs,
             outputs,
         };
-        let steps = &self.steps;
         let whole = self.team.run(&|member: &Member<'_>| {
             for step in steps {
                 run.step(step, member);
@@ -259,11 +297,54 @@ impl Schedule {
                 }
             }
         });
-        if whole {
-            Ok(())
-        } else {
-            Err("the engine panicked on it; please report the model".to_owned())
+        whole.then_some(()).ok_or_else(panicked)
+    }
+}
+
+/// The first step's output and quantization, if it quantizes the only input, to four bytes a pixel.
+fn entrance(steps: &[Step]) -> Option<(Buffer, Quantization)> {
+    let (first, rest) = steps.split_first()?;
+    let quantizes = |step: &Step| matches!(step.work, Work::Quantize { .. });
+    match (&first.work, first.writes) {
+        (&Work::Quantize { quantization, .. }, Some(buffer))
+            if buffer.pitch == 4 && !rest.iter().any(quantizes) =>
+        {
+            Some((buffer, quantization))
         }
+        _ => None,
+    }
+}
+
+fn panicked() -> String {
+    "the engine panicked on it; please report the model".to_owned()
+}
+
+/// Writes a member's share of a buffer's rows, and the border beside them.
+fn write_rows(
+    arena: &Shared<'_, u8>,
+    buffer: &Buffer,
+    rows: Range<usize>,
+    row: impl Fn(usize, &mut [u8]),
+) {
+    // SAFETY: `place` gave what is written a place that nothing else is in as long as it is read; each row is one
+    // member's, with the border on its sides, and so is the border above the first and below the last.
+    let write = |range: Range<usize>| unsafe { arena.write(range) };
+    for y in rows {
+        let border = buffer.border * buffer.row_bytes();
+        if y == 0 {
+            write(buffer.offset..buffer.offset + border).fill(buffer.zero);
+        }
+        if y + 1 == buffer.height {
+            let end = buffer.offset + buffer.len();
+            write(end - border..end).fill(buffer.zero);
+        }
+        let whole = write(buffer.whole_row(y));
+        let side = buffer.border * buffer.pitch;
+        let (left, rest) = whole.split_at_mut(side);
+        let (pixels, right) = rest.split_at_mut(buffer.width * buffer.pitch);
+        left.fill(buffer.zero);
+        right.fill(buffer.zero);
+        row(y, pixels);
     }
 }
 
@@ -716,37 +797,14 @@ impl Run<'_> {
         unsafe { self.arena.read(range) }
     }
 
-    /// Bytes of a row, or of the border around it, that this member writes.
-    #[expect(clippy::mut_from_ref, reason = "rows are shared out among the members")]
-    fn write(&self, range: Range<usize>) -> &mut [u8] {
-        // SAFETY: `place` gave what this step writes a place that nothing else is in as long as it is read; each row is
-        // one member's, with the border on its sides, and so is the border above the first and below the last.
-        unsafe { self.arena.write(range) }
-    }
-
     /// One member's share of a step.
     fn step(&self, step: &Step, member: &Member<'_>) {
-        for y in member.share(step.rows) {
-            let Some(buffer) = &step.writes else {
-                self.leave(step, y, member.number);
-                continue;
-            };
-            let border = buffer.border * buffer.row_bytes();
-            if y == 0 {
-                self.write(buffer.offset..buffer.offset + border)
-                    .fill(buffer.zero);
-            }
-            if y + 1 == buffer.height {
-                let end = buffer.offset + buffer.len();
-                self.write(end - border..end).fill(buffer.zero);
-            }
-            let row = self.write(buffer.whole_row(y));
-            let side = buffer.border * buffer.pitch;
-            let (left, row) = row.split_at_mut(side);
-            let (row, right) = row.split_at_mut(buffer.width * buffer.pitch);
-            left.fill(buffer.zero);
-            right.fill(buffer.zero);
-            self.row(step, buffer, y, row);
+        let rows = member.share(step.rows);
+        match &step.writes {
+            Some(buffer) => write_rows(&self.arena, buffer, rows, |y, row| {
+                self.row(step, buffer, y, row)
+            }),
+            None => rows.for_each(|y| self.leave(step, y, member.number)),
         }
     }
 

@@ -709,15 +709,15 @@ fn an_unknown_operator_parts_two_islands() {
 fn heads(engine: Engine, size: (u32, u32)) -> Vec<Vec<f32>> {
     let model = Model::embedded().unwrap().with_engine(engine);
     let mut network = Network::new(&model, size, &["residual", "attention", "slope"]).unwrap();
-    let fill = |input: &mut [f32]| {
-        for (index, value) in input.iter_mut().enumerate() {
-            let (x, y) = (index % size.0 as usize, index / size.0 as usize);
-            let wave = (x as f32 / 9.0).sin() + (y as f32 / 13.0).cos();
-            *value = wave;
-        }
-        Ok(())
+    let (width, height) = (size.0 as usize, size.1 as usize);
+    let wave = |index: usize| {
+        let (x, y) = (index % width, index / width);
+        (x as f32 / 9.0).sin() + (y as f32 / 13.0).cos()
     };
-    network.fill_input(fill).unwrap();
+    let planes: Vec<f32> = (0..4 * width * height).map(wave).collect();
+    network
+        .fill_input(|entrance| entrance.write_planes(&planes))
+        .unwrap();
     let outputs = network.run().unwrap();
     (0..3)
         .map(|head| outputs.head(head).unwrap().0.to_vec())

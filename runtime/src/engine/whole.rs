@@ -7,16 +7,75 @@ use super::arena::Shared;
 use super::island::ISLAND;
 use super::layer::Shape;
 use super::operator::read;
-use super::schedule::Schedule;
+use super::pixels::{PixelRow, Pixels};
+use super::schedule::{Inputs, Schedule};
 
 /// Such a network, planned, and the outputs of its last run.
 #[derive(Debug)]
 pub(crate) struct Whole {
     schedule: Schedule,
+    input: Input,
     /// Of the island, planar.
     outputs: Vec<(Shape, Vec<f32>)>,
     /// Where each output of the graph is among them.
     order: Vec<usize>,
+}
+
+/// What a [`Whole`] reads.
+#[derive(Debug)]
+enum Input {
+    /// `[channels, height, width]`.
+    Planes(Vec<f32>),
+    /// Bytes, of up to four channels.
+    Pixels(Pixels),
+}
+
+/// Where to write what a [`Whole`] reads.
+pub(crate) enum Entrance<'a> {
+    /// `[channels, height, width]`; what is not written again stays from run to run.
+    Planes(&'a mut [f32]),
+    /// Pixels, all of them for every run.
+    Pixels(PixelEntrance<'a>),
+}
+
+/// Where pixels are written, on all threads.
+pub(crate) struct PixelEntrance<'a> {
+    schedule: &'a mut Schedule,
+    /// What becomes of them.
+    pub(crate) pixels: &'a mut Pixels,
+}
+
+impl Entrance<'_> {
+    /// Writes planes of f32, quantized where and as the first layer would.
+    #[cfg(test)]
+    pub(crate) fn write_planes(self, planes: &[f32]) -> Result<(), String> {
+        match self {
+            Entrance::Planes(input) => {
+                input.copy_from_slice(planes);
+                Ok(())
+            }
+            Entrance::Pixels(PixelEntrance { schedule, pixels }) => {
+                schedule.enter(&|_, y, out| pixels.quantize(planes, y, out))
+            }
+        }
+    }
+}
+
+impl PixelEntrance<'_> {
+    /// Calls `row(thread, y, pixels)` for every row.
+    pub(crate) fn write(
+        &mut self,
+        row: impl Fn(usize, usize, PixelRow<'_>) + Sync,
+    ) -> Result<(), String> {
+        let pixels = &*self.pixels;
+        self.schedule
+            .enter(&|thread, y, out| row(thread, y, pixels.row(y, out)))
+    }
+
+    /// Number of threads.
+    pub(crate) fn threads(&self) -> usize {
+        self.schedule.members()
+    }
 }
 
 impl Whole {
@@ -42,22 +101,41 @@ impl Whole {
         let schedule = Schedule::new(&island, &[input], kernel, threads).ok()?;
         let buffer = |&shape: &Shape| (shape, vec![0.0; shape.iter().product()]);
         let outputs = schedule.output_shapes().iter().map(buffer).collect();
+        let input = match schedule.entrance_quantization() {
+            Some(quantization) => Input::Pixels(Pixels::new(quantization, [input[1], input[2]])),
+            None => Input::Planes(vec![0.0; input.iter().product()]),
+        };
         Some(Self {
             schedule,
+            input,
             outputs,
             order,
         })
     }
 
-    /// Runs it on planar f32. Up to four outputs it allocates nothing.
-    pub(crate) fn run(&mut self, input: &[f32]) -> Result<(), String> {
+    /// Where to write its input.
+    pub(crate) fn entrance(&mut self) -> Entrance<'_> {
+        match &mut self.input {
+            Input::Planes(planes) => Entrance::Planes(planes),
+            Input::Pixels(pixels) => Entrance::Pixels(PixelEntrance {
+                schedule: &mut self.schedule,
+                pixels,
+            }),
+        }
+    }
+
+    /// Runs it on what was written. Up to four outputs it allocates nothing.
+    pub(crate) fn run(&mut self) -> Result<(), String> {
         let mut outputs: TVec<Shared<'_, f32>> = tvec!();
         outputs.extend(
             self.outputs
                 .iter_mut()
                 .map(|(_, values)| Shared::new(values)),
         );
-        self.schedule.run(&[input], &outputs)
+        match &self.input {
+            Input::Planes(planes) => self.schedule.run(Inputs::Planes(&[planes]), &outputs),
+            Input::Pixels(_) => self.schedule.run(Inputs::Entered, &outputs),
+        }
     }
 
     /// An output of the graph, planar, and its shape.

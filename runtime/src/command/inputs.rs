@@ -1,0 +1,72 @@
+//! What the subcommands that run a network are given: a picture, its calibration, a model, and how to run it.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use gedepth::{Calibration, Engine, Error, Estimator, Model, OutputSize, Picture, picture};
+use image::RgbImage;
+
+use super::size;
+
+#[derive(Args)]
+pub(crate) struct Inputs {
+    /// PNG or JPEG file, as the camera made it: unscaled and uncropped
+    picture: PathBuf,
+    /// Calibration: this project's JSON file; KITTI object, tracking or odometry; or KITTI raw's calib_cam_to_cam.txt,
+    /// with calib_velo_to_cam.txt beside it
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// ONNX file with a gedepth contract [default: a quantized adaptive model inside the program]
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Size at which the network runs, instead of the one that the picture's proportions and the model ask for
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
+    network_size: Option<(u32, u32)>,
+    /// Number of threads that run the quantized layers [default: 2, or 1 on one core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
+    threads: Option<u8>,
+}
+
+/// The inputs, read, and an estimator for them.
+pub(crate) struct Opened {
+    pub(crate) image: RgbImage,
+    pub(crate) model: Model,
+    pub(crate) estimator: Estimator,
+    /// How long the picture took to decode.
+    pub(crate) decode: Duration,
+    /// How long the model took, from file to ready.
+    pub(crate) prepare: Duration,
+}
+
+impl Inputs {
+    pub(crate) fn open(&self, output: OutputSize) -> Result<Opened, Error> {
+        let clock = Instant::now();
+        let image = picture::read(&self.picture)?;
+        let decode = clock.elapsed();
+        let calibration = Calibration::read(&self.calibration)?;
+        let clock = Instant::now();
+        let model = match &self.model {
+            Some(path) => Model::from_file(path)?,
+            None => Model::embedded()?,
+        };
+        let model = match (self.threads, Engine::default()) {
+            (Some(threads), Engine::Quantized { kernel, .. }) => {
+                model.with_engine(Engine::Quantized {
+                    kernel,
+                    threads: threads.into(),
+                })
+            }
+            _ => model,
+        };
+        let size = Picture::from(&image).size();
+        let estimator = Estimator::new(&model, &calibration, size, self.network_size, output)?;
+        Ok(Opened {
+            image,
+            model,
+            estimator,
+            decode,
+            prepare: clock.elapsed(),
+        })
+    }
+}

@@ -1,0 +1,67 @@
+//! A picture costs no heap allocation, from its bytes to its depth, on any of the engine's threads.
+#![allow(clippy::expect_used)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
+
+use gedepth::{Calibration, Engine, Estimator, Kernel, Model, OutputSize, Picture, picture};
+
+/// The system's allocator, counting.
+struct Counting;
+
+static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: all of it is the system's.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, SeqCst);
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, SeqCst);
+        // SAFETY: as above.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+// One test: others would allocate meanwhile.
+#[test]
+fn a_picture_costs_no_allocation() {
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/street");
+    let image = picture::read(&scene.join("image.png")).expect("the shipped picture");
+    let picture = Picture::from(&image);
+    let calibration = Calibration::read(&scene.join("calibration.json")).expect("its calibration");
+    for kernel in Kernel::ALL
+        .into_iter()
+        .filter(|kernel| kernel.is_supported())
+    {
+        for threads in [1, 3] {
+            for output in [OutputSize::Picture, OutputSize::Network] {
+                let model = Model::embedded().expect("the embedded model");
+                let model = model.with_engine(Engine::Quantized { kernel, threads });
+                let size = Some((320, 96));
+                let mut estimator =
+                    Estimator::new(&model, &calibration, picture.size(), size, output)
+                        .expect("an estimator");
+                let before = ALLOCATIONS.load(SeqCst);
+                // The first picture too.
+                let depth = estimator.run(picture).expect("depth").depth[0];
+                let again = estimator.run(picture).expect("depth").depth[0];
+                let allocations = ALLOCATIONS.load(SeqCst) - before;
+                assert_eq!(allocations, 0, "{kernel:?}, {threads} threads, {output:?}");
+                assert_eq!(depth, again);
+            }
+        }
+    }
+}
