@@ -25,6 +25,10 @@ mod avxvnni;
 mod neon;
 mod portable;
 
+#[cfg(target_arch = "x86_64")]
+use avx512vnni::Interleaved;
+#[cfg(target_arch = "aarch64")]
+use neon::depthwise::Interleaved;
 pub(crate) use portable::{
     Halves, average_row, concat_row, copy_row, dequantize_row, max_row, multiply_row, quantize_row,
     resize_row, table_row,
@@ -47,7 +51,7 @@ pub enum Kernel {
     Neon,
     /// aarch64 with the dot product (FEAT_DotProd).
     NeonDotprod,
-    /// aarch64 with 8-bit matrix products (FEAT_I8MM).
+    /// aarch64 with the dot product and 8-bit matrix products (FEAT_I8MM).
     NeonI8mm,
 }
 
@@ -74,6 +78,8 @@ impl Kernel {
 
     /// Whether this processor has it.
     pub fn is_supported(self) -> bool {
+        #[cfg(target_arch = "aarch64")]
+        use std::arch::is_aarch64_feature_detected as has;
         #[cfg(target_arch = "x86_64")]
         use std::arch::is_x86_feature_detected as has;
         match self {
@@ -91,9 +97,9 @@ impl Kernel {
             #[cfg(target_arch = "aarch64")]
             Kernel::Neon => true,
             #[cfg(target_arch = "aarch64")]
-            Kernel::NeonDotprod => std::arch::is_aarch64_feature_detected!("dotprod"),
+            Kernel::NeonDotprod => has!("dotprod"),
             #[cfg(target_arch = "aarch64")]
-            Kernel::NeonI8mm => std::arch::is_aarch64_feature_detected!("i8mm"),
+            Kernel::NeonI8mm => has!("dotprod") && has!("i8mm"),
             // Those of other processors.
             _ => false,
         }
@@ -185,7 +191,7 @@ impl Dense {
                 let sum: i32 = all
                     .map(|(n, byte)| i32::from(weight(output, n, byte)))
                     .sum();
-                *start = start.wrapping_add(128 * sum);
+                *start = start.wrapping_add(sum.wrapping_mul(128));
             }
         }
         starts.extend(std::iter::repeat_n(0, padded(blocks * BLOCK)));
@@ -257,9 +263,9 @@ pub(crate) struct Depthwise {
     weights: Vec<i8>,
     starts: Vec<i32>,
     factors: Vec<f32>,
-    /// As the AVX-512 kernel wants them; empty for others.
-    #[cfg(target_arch = "x86_64")]
-    interleaved: avx512vnni::Interleaved,
+    /// As dot products want them; empty for other kernels.
+    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+    interleaved: Interleaved,
 }
 
 impl Depthwise {
@@ -289,14 +295,14 @@ impl Depthwise {
             weights,
             starts,
             factors,
-            #[cfg(target_arch = "x86_64")]
-            interleaved: avx512vnni::Interleaved::default(),
+            #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+            interleaved: Interleaved::default(),
         };
-        #[cfg(target_arch = "x86_64")]
-        if kernel == Kernel::Avx512Vnni {
-            packed.interleaved = avx512vnni::Interleaved::new(&packed);
+        #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+        if let Kernel::Avx512Vnni | Kernel::NeonDotprod | Kernel::NeonI8mm = kernel {
+            packed.interleaved = Interleaved::new(&packed);
         }
-        #[cfg(not(target_arch = "x86_64"))]
+        #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
         let _ = (kernel, &mut packed);
         packed
     }

@@ -73,4 +73,4 @@ impl Multiply for Dotprod {
     }
 }
 
-kernel!(Dotprod, "neon,dotprod");
+kernel!(Dotprod, "neon,dotprod", dotprod);

@@ -102,4 +102,4 @@ impl Multiply for I8mm {
     }
 }
 
-kernel!(I8mm, "neon,i8mm");
+kernel!(I8mm, "neon,i8mm", dotprod);

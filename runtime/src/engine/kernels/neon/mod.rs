@@ -1,10 +1,11 @@
 //! NEON, which every aarch64 has: what multiplies and adds in dense convolutions is in [`plain`], [`dotprod`] and
-//! [`i8mm`]; all else is the same for the three, and here.
+//! [`i8mm`]; [`mod@depthwise`] is with the dot product and without; all else is the same for the three, and here.
 
 use std::arch::aarch64::*;
 
-use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, portable};
+use super::{Addition, BLOCK, Dense, Row, ToBytes, portable};
 
+pub(super) mod depthwise;
 pub(super) mod dotprod;
 pub(super) mod i8mm;
 pub(super) mod plain;
@@ -229,8 +230,9 @@ unsafe fn floats<M: Multiply>(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
 
 /// What [`Kernel`](super::Kernel) calls, for one way to multiply.
 macro_rules! kernel {
-    ($multiply:ident, $features:literal) => {
-        pub(in crate::engine::kernels) use super::{add, depthwise, quantize_four};
+    ($multiply:ident, $features:literal, $depthwise:ident) => {
+        pub(in crate::engine::kernels) use super::depthwise::$depthwise as depthwise;
+        pub(in crate::engine::kernels) use super::{add, quantize_four};
 
         /// # Safety
         /// The processor has the instructions, the row passed `Dense::check`, and `out` has room for it.
@@ -270,62 +272,6 @@ fn widen(bytes: uint8x16_t) -> [int16x8_t; 2] {
             vreinterpretq_s16_u16(vmovl_u8(vget_low_u8(bytes))),
             vreinterpretq_s16_u16(vmovl_high_u8(bytes)),
         ]
-    }
-}
-
-/// Adds the products of sixteen lanes.
-#[inline]
-fn multiply_add(sums: &mut [int32x4_t; 4], bytes: [int16x8_t; 2], weights: [int16x8_t; 2]) {
-    for half in 0..2 {
-        let (bytes, weights) = (bytes[half], weights[half]);
-        // SAFETY: every aarch64 has NEON.
-        unsafe {
-            sums[2 * half] = vmlal_s16(sums[2 * half], vget_low_s16(bytes), vget_low_s16(weights));
-            sums[2 * half + 1] = vmlal_high_s16(sums[2 * half + 1], bytes, weights);
-        }
-    }
-}
-
-/// # Safety
-/// The row passed `Depthwise::check`.
-pub(super) unsafe fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
-    let limits = Limits::new(to);
-    let pitch = packed.pitch;
-    for channel in (0..pitch).step_by(BLOCK) {
-        // SAFETY: there are a start and a factor for every channel of the pitch.
-        let (starts, factors) = unsafe {
-            (
-                lanes(packed.starts.as_ptr().add(channel)),
-                packed.factors.as_ptr().add(channel),
-            )
-        };
-        for first in (0..row.pixels).step_by(PIXELS) {
-            let mut sums = [starts; PIXELS];
-            for (tap, run) in row.runs.iter().enumerate() {
-                // SAFETY: `Depthwise::new` packed a pitch of weights for each tap.
-                let weights = unsafe {
-                    let weights = vld1q_s8(packed.weights.as_ptr().add(tap * pitch + channel));
-                    [vmovl_s8(vget_low_s8(weights)), vmovl_high_s8(weights)]
-                };
-                for (pixel, sums) in sums.iter_mut().enumerate() {
-                    // Past the end the last pixel is done again; only the pixels of the row are stored.
-                    let pixel = (first + pixel).min(row.pixels - 1);
-                    // SAFETY: sixteen channels of a tap of a pixel of the row.
-                    let bytes = unsafe {
-                        let at = row.base + run + pixel * row.step + channel;
-                        vld1q_u8(row.input.as_ptr().add(at))
-                    };
-                    multiply_add(sums, widen(bytes), weights);
-                }
-            }
-            for (pixel, sums) in sums.into_iter().enumerate().take(row.pixels - first) {
-                // SAFETY: sixteen bytes of a pixel that `out` has room for.
-                unsafe {
-                    let out = out.as_mut_ptr().add((first + pixel) * pitch + channel);
-                    vst1q_u8(out, limits.pack(scaled(sums, factors)));
-                }
-            }
-        }
     }
 }
 

@@ -64,4 +64,4 @@ impl Multiply for Plain {
     }
 }
 
-kernel!(Plain, "neon");
+kernel!(Plain, "neon", plain);
