@@ -153,7 +153,7 @@ impl Fusion {
         check_output(output, depth)?;
         let mut scratch = Scratch::new(scratch);
         let mut residual = Plane::residual(residual, self.upsampling, output, &mut scratch)?;
-        for (v, depth) in (0..).zip(depth.chunks_exact_mut(output.width() as usize)) {
+        for (v, depth) in (0..).zip(depth.chunks_exact_mut(output.row())) {
             residual.row(v, depth)?;
             for depth in depth {
                 *depth = clamp(*depth, self.depth.min, self.depth.max);
@@ -210,7 +210,8 @@ impl Fusion {
     }
 
     /// Fuses row by row; `slope` comes with memory for a row of its tangents.
-    #[inline(always)]
+    // Firmware has no vectors to be compiled for, and less memory for copies.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn fuse<'s, G: GroundRows + ?Sized>(
         &self,
         ground: &G,
@@ -218,10 +219,10 @@ impl Fusion {
         residual: &ResidualHead<'_>,
         attention: &AttentionHead<'_>,
         scratch: &mut Scratch<'s>,
-        mut maps: FusedMaps<'_>,
+        maps: FusedMaps<'_>,
     ) -> Result<(), Error> {
         let output = ground.size();
-        let width = output.width() as usize;
+        let width = output.row();
         check_output(output, maps.depth)?;
         for map in [&maps.attention, &maps.ground].into_iter().flatten() {
             check_output(output, map)?;
@@ -231,6 +232,8 @@ impl Fusion {
         let per_height = 1.0 / ground.camera_height();
         let ground_row = scratch.take(width)?;
         let attention_row = scratch.take(width)?;
+        let mut attention_map = maps.attention.map(|map| map.chunks_exact_mut(width));
+        let mut ground_map = maps.ground.map(|map| map.chunks_exact_mut(width));
         for (v, depth_row) in (0..).zip(maps.depth.chunks_exact_mut(width)) {
             ground.write_row(v, ground_row)?;
             if let Some((slope, tangents)) = &mut slope {
@@ -255,12 +258,11 @@ impl Fusion {
                 let fused = *depth + m * (z - *depth);
                 *depth = clamp(fused, self.depth.min, self.depth.max);
             }
-            let row = v as usize * width..(v as usize + 1) * width;
-            if let Some(map) = maps.attention.as_mut().and_then(|m| m.get_mut(row.clone())) {
-                map.copy_from_slice(attention_row);
+            if let Some(row) = attention_map.as_mut().and_then(Iterator::next) {
+                copy(attention_row, row);
             }
-            if let Some(map) = maps.ground.as_mut().and_then(|m| m.get_mut(row)) {
-                map.copy_from_slice(ground_row);
+            if let Some(row) = ground_map.as_mut().and_then(Iterator::next) {
+                copy(ground_row, row);
             }
         }
         Ok(())
@@ -275,6 +277,14 @@ fn check_output(size: ImageSize, map: &[f32]) -> Result<(), Error> {
         });
     }
     Ok(())
+}
+
+/// `copy_from_slice` without code for a panic; the lengths are equal.
+#[inline(always)]
+fn copy(from: &[f32], to: &mut [f32]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+    }
 }
 
 /// Hands out pieces of the caller's scratch memory.

@@ -87,7 +87,7 @@ pub fn write_depth<G: GroundRows + ?Sized>(
             given: metres.len(),
         });
     }
-    for (v, row) in (0..).zip(metres.chunks_exact_mut(size.width() as usize)) {
+    for (v, row) in (0..).zip(metres.chunks_exact_mut(size.row())) {
         ground.write_row(v, row)?;
         for value in row {
             let depth = depth_from_inverse(*value);
@@ -106,6 +106,29 @@ fn table_memory<T>(values: &mut [T], size: ImageSize) -> Result<&mut [T], Error>
     })
 }
 
+/// Checks that `values` is a finished table of this length.
+fn check_length<T>(values: &[T], needed: usize) -> Result<&[T], Error> {
+    if values.len() == needed {
+        Ok(values)
+    } else {
+        Err(Error::TableLength {
+            needed,
+            given: values.len(),
+        })
+    }
+}
+
+/// Checks a finished table's height of the camera over the ground, metres.
+fn check_height(height: f32) -> Result<f32, Error> {
+    if height > 0.0 && height.is_finite() {
+        Ok(height)
+    } else {
+        Err(Error::CameraNotAboveGround {
+            height: f64::from(height),
+        })
+    }
+}
+
 /// Writes every pixel's inverse depth through `encode`, which gets [`NO_GROUND`] where there is no forward ray; `values` has
 /// the camera's number of pixels.
 fn fill<T, C: CameraModel + ?Sized>(
@@ -114,7 +137,7 @@ fn fill<T, C: CameraModel + ?Sized>(
     ground: &Ground,
     encode: impl Fn(f64) -> T,
 ) {
-    let rows = values.chunks_exact_mut(camera.size().width() as usize);
+    let rows = values.chunks_exact_mut(camera.size().row());
     let down = ground.down().vector() / ground.height();
     for (v, row) in (0_u32..).zip(rows) {
         for (u, value) in (0_u32..).zip(row) {

@@ -34,6 +34,14 @@ impl ImageSize {
         self.height
     }
 
+    /// Values of a row. The compiler sees that it is not 0: maps are cut into rows without code for a panic.
+    pub(crate) const fn row(self) -> usize {
+        if self.width == 0 {
+            return 1;
+        }
+        self.width as usize
+    }
+
     /// Pixels: the length of a row-major map of this size.
     pub const fn pixels(self) -> usize {
         self.width as usize * self.height as usize

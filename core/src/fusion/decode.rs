@@ -147,7 +147,8 @@ impl<'a, 's> Plane<'a, 's> {
     }
 
     /// Writes the decoded output row `v`.
-    #[inline(always)]
+    // Firmware has no vectors to be compiled for, and less memory for copies.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(super) fn row(&mut self, v: u32, out: &mut [f32]) -> Result<(), Error> {
         self.upsampler.row(v, out, &mut self.source)?;
         if let Some(decoding) = self.late {
@@ -255,7 +256,8 @@ impl<'a, 's> SlopeTangent<'a, 's> {
     }
 
     /// Writes the tangents of output row `v`.
-    #[inline(always)]
+    // Firmware has no vectors to be compiled for, and less memory for copies.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(super) fn row(&mut self, v: u32, out: &mut [f32]) -> Result<(), Error> {
         match self {
             Self::HeadSize { source, upsampler } => upsampler.row(v, out, source),
@@ -304,7 +306,7 @@ impl SourceRows for TangentRows<'_, '_> {
 impl SourceRows for LogitRows<'_> {
     #[inline(always)]
     fn write_row(&mut self, y: u32, rows: &mut [f32]) -> Result<(), Error> {
-        let width = self.map.size().width() as usize;
+        let width = self.map.size().row();
         for (class, row) in rows.chunks_exact_mut(width).enumerate() {
             self.map.write_row(class, y, row);
             check_finite(row, Head::Slope)?;

@@ -85,7 +85,7 @@ impl<'a> HeadMap<'a> {
     }
 
     /// Row `y` of a channel as numbers: in place, or in `scratch`, which has the map's width.
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(super) fn row<'r>(&'r self, channel: usize, y: u32, scratch: &'r mut [f32]) -> &'r [f32] {
         let width = self.size.width() as usize;
         let start = channel * self.size.pixels() + y as usize * width;

@@ -146,7 +146,7 @@ impl ReferenceFusion {
             residual,
         };
         let mut resize = Upsampler::new(align, 1, decoder, input, scratch)?;
-        for (v, row) in (0..).zip(depth.chunks_exact_mut(input.width() as usize)) {
+        for (v, row) in (0..).zip(depth.chunks_exact_mut(input.row())) {
             resize.row(v, row, &mut decoder_rows)?;
         }
         Ok(())
@@ -202,7 +202,7 @@ impl<G: GroundRows + ?Sized> SourceRows for DecoderRows<'_, '_, G> {
         self.resize.row(y, self.pair, &mut self.ground)?;
         self.residual.write_row(0, y, row);
         check_finite(row, Head::Residual)?;
-        let (ground, attention) = self.pair.split_at(row.len());
+        let (ground, attention) = self.pair.split_at_checked(row.len()).unwrap_or_default();
         let DepthRange { min, max } = self.settings.depth;
         for ((depth, ground), m) in row.iter_mut().zip(ground).zip(attention) {
             let residual = clamp(*depth, 0.0, f32::MAX);

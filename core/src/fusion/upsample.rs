@@ -24,7 +24,7 @@ impl Upsampling {
             Self::AlignCorners if output > 1 => i * (n - 1.0) / (m - 1.0),
             Self::AlignCorners => 0.0,
         };
-        let source = source.clamp(0.0, n - 1.0);
+        let source = source.max(0.0).min(n - 1.0);
         let before = floor(source);
         let after = (before as u32 + 1).min(input - 1);
         (before as u32, after, (source - before) as f32)
@@ -148,12 +148,12 @@ impl<'s> Upsampler<'s> {
             (_, 0) => (odd, even),
             _ => (odd, odd),
         };
-        let (from, to) = (self.input.width() as usize, self.output.width() as usize);
-        for ((above, below), out) in above
-            .chunks_exact(from)
-            .zip(below.chunks_exact(from))
-            .zip(out.chunks_exact_mut(to))
-        {
+        let (from, to) = (self.input.row(), self.output.row());
+        // Not a zip of three chunkings: that divides their lengths, with code for a panic at 0.
+        for (channel, out) in out.chunks_exact_mut(to).enumerate() {
+            let row = channel * from..(channel + 1) * from;
+            let above = above.get(row.clone()).unwrap_or_default();
+            let below = below.get(row).unwrap_or_default();
             for ((mixed, a), b) in self.mixed.iter_mut().zip(above).zip(below) {
                 *mixed = lerp(*a, *b, share);
             }
@@ -164,7 +164,7 @@ impl<'s> Upsampler<'s> {
 }
 
 impl Columns<'_> {
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn widen(&self, row: &[f32], out: &mut [f32]) {
         match self {
             Self::Same => {

@@ -1,6 +1,6 @@
 //! Three numbers instead of a table: the ground of a pinhole camera is linear in (u, v).
 
-use super::{GroundRows, ImageSize};
+use super::{GroundRows, ImageSize, check_height};
 
 use crate::camera::Intrinsics;
 use crate::{Error, Ground};
@@ -36,6 +36,24 @@ impl GroundCoefficients {
             per_column,
             per_row,
         }
+    }
+
+    /// Coefficients made earlier, as [`Self::coefficients`] gives them; `camera_height` in metres.
+    ///
+    /// # Errors
+    /// [`Error::CameraNotAboveGround`] if `camera_height` is not positive and finite.
+    pub fn from_values(
+        [origin, per_column, per_row]: [f64; 3],
+        size: ImageSize,
+        camera_height: f32,
+    ) -> Result<Self, Error> {
+        Ok(Self {
+            size,
+            height: check_height(camera_height)?,
+            origin,
+            per_column,
+            per_row,
+        })
     }
 
     /// `[a, b, c]` of `1/z = a + b u + c v`, in 1/m and 1/m per pixel.

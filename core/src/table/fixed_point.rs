@@ -4,7 +4,7 @@
 //! ground, so what the vanishing line hides is not kept: with an uphill slope the adaptive mode finds no ground above the
 //! line in these tables. Use another form where that matters.
 
-use super::{GroundRows, ImageSize, NO_GROUND, fill, table_memory};
+use super::{GroundRows, ImageSize, NO_GROUND, check_height, check_length, fill, table_memory};
 use crate::camera::CameraModel;
 use crate::{Error, Ground};
 
@@ -63,6 +63,23 @@ impl<'a, const STEPS_PER_METRE: u32, const RANGE: u32> FixedView<'a, STEPS_PER_M
         })
     }
 
+    /// A table made earlier, say one kept in flash: `values` row-major in steps, `camera_height` in metres.
+    ///
+    /// # Errors
+    /// [`Error::TableLength`] if `values` has another length than [`Self::len`],
+    /// [`Error::CameraNotAboveGround`] if `camera_height` is not positive and finite.
+    pub fn from_values(
+        values: &'a [u16],
+        size: ImageSize,
+        camera_height: f32,
+    ) -> Result<Self, Error> {
+        Ok(Self {
+            values: check_length(values, Self::len(size))?,
+            size,
+            height: check_height(camera_height)?,
+        })
+    }
+
     /// The depths in steps, row-major; 0 where there is no ground.
     pub const fn values(&self) -> &'a [u16] {
         self.values
@@ -82,7 +99,7 @@ impl<const STEPS_PER_METRE: u32, const RANGE: u32> GroundRows
 
     #[inline(always)]
     fn write_row(&self, v: u32, row: &mut [f32]) -> Result<(), Error> {
-        let width = self.size.width() as usize;
+        let width = self.size.row();
         match self.values.chunks_exact(width).nth(v as usize) {
             Some(values) if values.len() == row.len() => {
                 for (inverse, steps) in row.iter_mut().zip(values) {

@@ -1,8 +1,8 @@
 //! The primary table: inverse depth as `f32`, one value a pixel, for every camera.
 
 use super::{
-    GroundCoefficients, GroundRows, ImageSize, NO_GROUND, RayView, depth_from_inverse, fill,
-    table_memory,
+    GroundCoefficients, GroundRows, ImageSize, NO_GROUND, RayView, check_height, check_length,
+    depth_from_inverse, fill, table_memory,
 };
 use crate::camera::CameraModel;
 use crate::{Error, Ground};
@@ -34,7 +34,7 @@ impl<'a> GroundView<'a> {
         let values = table_memory(values, size)?;
         if let Some(intrinsics) = camera.as_pinhole() {
             let coefficients = GroundCoefficients::new(intrinsics, ground);
-            let rows = values.chunks_exact_mut(size.width() as usize);
+            let rows = values.chunks_exact_mut(size.row());
             for (v, row) in (0..).zip(rows) {
                 coefficients.fill_row(v, row);
             }
@@ -79,21 +79,10 @@ impl<'a> GroundView<'a> {
         size: ImageSize,
         camera_height: f32,
     ) -> Result<Self, Error> {
-        if values.len() != size.pixels() {
-            return Err(Error::TableLength {
-                needed: size.pixels(),
-                given: values.len(),
-            });
-        }
-        if !(camera_height > 0.0 && camera_height.is_finite()) {
-            return Err(Error::CameraNotAboveGround {
-                height: f64::from(camera_height),
-            });
-        }
         Ok(Self {
-            values,
+            values: check_length(values, Self::len(size))?,
             size,
-            height: camera_height,
+            height: check_height(camera_height)?,
         })
     }
 
@@ -129,7 +118,7 @@ impl GroundRows for GroundView<'_> {
 
     #[inline(always)]
     fn write_row(&self, v: u32, row: &mut [f32]) -> Result<(), Error> {
-        let width = self.size.width() as usize;
+        let width = self.size.row();
         match self.values.chunks_exact(width).nth(v as usize) {
             Some(values) if values.len() == row.len() => {
                 row.copy_from_slice(values);

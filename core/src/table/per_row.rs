@@ -1,6 +1,6 @@
 //! One value per row: for pinholes that do not roll.
 
-use super::{GroundCoefficients, GroundRows, ImageSize};
+use super::{GroundCoefficients, GroundRows, ImageSize, check_height, check_length};
 use crate::Error;
 
 /// How far off one value per row may be.
@@ -59,6 +59,23 @@ impl<'a> RowView<'a> {
             values,
             size,
             height: coefficients.camera_height(),
+        })
+    }
+
+    /// A table made earlier, say one kept in flash: a value a row in 1/m, `camera_height` in metres.
+    ///
+    /// # Errors
+    /// [`Error::TableLength`] if `values` has another length than [`Self::len`],
+    /// [`Error::CameraNotAboveGround`] if `camera_height` is not positive and finite.
+    pub fn from_values(
+        values: &'a [f32],
+        size: ImageSize,
+        camera_height: f32,
+    ) -> Result<Self, Error> {
+        Ok(Self {
+            values: check_length(values, Self::len(size))?,
+            size,
+            height: check_height(camera_height)?,
         })
     }
 

@@ -44,9 +44,9 @@ impl<'a> RayView<'a> {
         let (x, y) = values
             .split_at_mut_checked(size.pixels())
             .ok_or(too_short)?;
-        let width = size.width() as usize;
-        let rows = x.chunks_exact_mut(width).zip(y.chunks_exact_mut(width));
-        for (v, (x, y)) in (0_u32..).zip(rows) {
+        let width = size.row();
+        let rows = (0_u32..).zip(x.chunks_exact_mut(width));
+        for ((v, x), y) in rows.zip(y.chunks_exact_mut(width)) {
             for (u, (x, y)) in (0_u32..).zip(x.iter_mut().zip(y)) {
                 let point = camera.forward_ray(Pixel::new(f64::from(u), f64::from(v)));
                 let point = point.unwrap_or(DVec2::NAN);
@@ -54,6 +54,21 @@ impl<'a> RayView<'a> {
             }
         }
         Ok(Self { x, y, size })
+    }
+
+    /// Rays made earlier: what [`Self::build`] wrote.
+    ///
+    /// # Errors
+    /// [`Error::TableLength`] if `values` has another length than [`Self::len`].
+    pub fn from_values(values: &'a [f32], size: ImageSize) -> Result<Self, Error> {
+        let given = values.len();
+        match values.split_at_checked(size.pixels()) {
+            Some((x, y)) if y.len() == x.len() => Ok(Self { x, y, size }),
+            _ => Err(Error::TableLength {
+                needed: Self::len(size),
+                given,
+            }),
+        }
     }
 
     /// The picture's size.
