@@ -20,6 +20,9 @@ static void print_number(const char *name, uint32_t value) {
 
 #define PAINT 0x5ca1ab1eu
 
+/* Bytes that no entry may exceed: core/ffi/README.md. */
+#define STACK_LIMIT 4096u
+
 /* Never inlined: what `job` needs lies below this frame. */
 __attribute__((noinline)) static void measure(const char *name, uint32_t width, uint32_t height, int32_t (*job)(void)) {
   const char *here;
@@ -30,15 +33,15 @@ __attribute__((noinline)) static void measure(const char *name, uint32_t width, 
   uint32_t after = board_clock();
   const volatile uint32_t *word = stack_end;
   while (*word == PAINT) word++;
-  uint32_t pixels = width * height, count = (after - before) & BOARD_CLOCK_MASK;
+  uint32_t pixels = width * height, count = (after - before) & BOARD_CLOCK_MASK, stack = (uint32_t)(here - (const char *)word);
   board_write(name);
   print_number(" ", width);
   print_number("x", height);
   print_number(": ", count);
   print_number(" instructions, ", count / pixels);
-  print_number(" a pixel, stack ", (uint32_t)(here - (const char *)word));
-  write_line(result == GEDEPTH_CORE_OK ? " bytes" : " bytes, FAILED");
-  if (result != GEDEPTH_CORE_OK) board_exit(2);
+  print_number(" a pixel, stack ", stack);
+  write_line(result != GEDEPTH_CORE_OK ? " bytes, FAILED" : stack > STACK_LIMIT ? " bytes, TOO MUCH" : " bytes");
+  if (result != GEDEPTH_CORE_OK || stack > STACK_LIMIT) board_exit(2);
 }
 
 static gedepth_core_camera camera;
