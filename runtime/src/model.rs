@@ -65,9 +65,10 @@ impl Model {
             path: path.to_owned(),
             reason,
         };
-        let proto = tract_onnx::onnx()
+        let mut proto = tract_onnx::onnx()
             .proto_model_for_read(&mut bytes)
             .map_err(|_| unfit("not an ONNX file".to_owned()))?;
+        engine::to_qdq(&mut proto);
         if proto.graph.is_none() {
             return Err(unfit(
                 "not an ONNX file: there is no graph in it".to_owned(),

@@ -5,10 +5,16 @@
 
 use std::collections::{HashMap, HashSet};
 
-use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto, ValueInfoProto};
+use tract_onnx::pb::tensor_shape_proto::Dimension;
+use tract_onnx::pb::{
+    AttributeProto, GraphProto, ModelProto, NodeProto, TensorShapeProto, TypeProto, ValueInfoProto,
+    type_proto,
+};
 
-use super::layer::{Form, Layer, Operation, Shape};
-use super::recognize::{Recognized, layers};
+use super::layer::{Form, Layer, Operand, Shape};
+use super::recognize::graph::Reader;
+use super::recognize::{Recognized, Survey, survey};
+use super::tidy::tidy;
 
 /// The operator that an island becomes; its attribute [`BODY`] holds the island's graph.
 pub(crate) const ISLAND: &str = "GedepthQuantizedIsland";
@@ -22,6 +28,8 @@ pub(crate) struct Island {
     pub(crate) inputs: Vec<String>,
     /// Names of the f32 tensors that it writes.
     pub(crate) outputs: Vec<String>,
+    /// Those of them that have two dimensions, `[1, channels]`, instead of four.
+    pub(crate) flat: HashSet<String>,
     /// Each after those that it reads from.
     pub(crate) layers: Vec<Layer>,
 }
@@ -29,14 +37,26 @@ pub(crate) struct Island {
 impl Island {
     /// The island of a graph that [`replace_islands`] made.
     pub(crate) fn from_body(body: &GraphProto) -> Self {
+        let names = |values: &[ValueInfoProto]| -> Vec<String> {
+            values.iter().map(|value| value.name.clone()).collect()
+        };
+        let (inputs, outputs) = (names(&body.input), names(&body.output));
+        let reader = Reader::new(body);
+        let flat = |name: &&String| reader.rank(name) == Some(2);
         Self {
-            inputs: body.input.iter().map(|input| input.name.clone()).collect(),
-            outputs: body
-                .output
+            flat: inputs
                 .iter()
-                .map(|output| output.name.clone())
+                .chain(&outputs)
+                .filter(flat)
+                .cloned()
                 .collect(),
-            layers: layers(body).into_iter().map(|found| found.layer).collect(),
+            inputs,
+            outputs,
+            layers: survey(body, true)
+                .layers
+                .into_iter()
+                .flat_map(|found| found.first.into_iter().chain([found.layer]))
+                .collect(),
         }
     }
 
@@ -65,8 +85,19 @@ impl Island {
     }
 }
 
-/// The model with each island as one node; `None` where there is none.
-pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
+/// A graph made ready for the engine, and which of its nodes go where.
+#[derive(Debug)]
+pub(crate) struct Division {
+    /// The graph, rewritten ([`tidy`]) without a change of meaning.
+    pub(crate) graph: GraphProto,
+    /// The layers in it, and why other nodes are none.
+    pub(crate) survey: Survey,
+    /// The number of each layer's island.
+    pub(crate) levels: Vec<usize>,
+}
+
+/// Divides a model between the engine and tract; `None` where it cannot be.
+pub(crate) fn divide(model: &ModelProto) -> Option<Division> {
     let graph = model.graph.as_ref()?;
     // Graphs within graphs read names that no node's inputs show.
     if graph
@@ -77,26 +108,35 @@ pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
     {
         return None;
     }
-    let found = layers(graph);
-    if found.iter().all(|f| {
-        matches!(
-            f.layer.operation,
-            Operation::Quantize | Operation::Dequantize
-        )
-    }) {
-        return None;
+    let graph = tidy(model, graph);
+    let mut survey = survey(&graph, false);
+    if survey.layers.iter().all(|f| f.layer.operation.is_border()) {
+        survey.layers.clear();
     }
-    let levels = levels(graph, &found);
+    let levels = levels(&graph, &survey.layers);
+    Some(Division {
+        graph,
+        survey,
+        levels,
+    })
+}
+
+/// The model with each island as one node; `None` where there is none.
+pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
+    let Division {
+        mut graph,
+        survey: Survey { layers: found, .. },
+        levels,
+    } = divide(model)?;
     let islands: Vec<NodeProto> = (0..=levels.iter().copied().max()?)
         .filter(|level| levels.contains(level))
-        .map(|level| island_node(graph, &found, &levels, level))
+        .map(|level| island_node(&graph, &found, &levels, level))
         .collect();
     // What else they stood for goes with the sweep, unless somebody else reads it too.
     let replaced: HashSet<usize> = found
         .iter()
         .filter_map(|f| f.nodes.last().copied())
         .collect();
-    let mut graph = graph.clone();
     let mut index = 0;
     graph.node.retain(|_| {
         index += 1;
@@ -117,27 +157,33 @@ fn levels(graph: &GraphProto, found: &[Recognized]) -> Vec<usize> {
         .enumerate()
         .filter_map(|(index, f)| Some((*f.nodes.last()?, index)))
         .collect();
-    // Of tensors: what a reader outside has behind it. Bytes have no readers outside.
+    // Of tensors: what a reader outside has behind it.
     let mut level: HashMap<&str, usize> = HashMap::new();
     let mut levels = vec![0; found.len()];
+    // Of tensors made by a layer: what another layer has behind it.
+    let mut inside: HashMap<&str, usize> = HashMap::new();
     for (index, node) in graph.node.iter().enumerate() {
-        let at = |names: &mut dyn Iterator<Item = &String>| {
-            names
-                .filter_map(|name| level.get(name.as_str()))
-                .copied()
-                .max()
-                .unwrap_or(0)
-        };
+        let greatest =
+            |levels: &mut dyn Iterator<Item = Option<usize>>| levels.flatten().max().unwrap_or(0);
         match by_node.get(&index) {
             Some(&layer) => {
-                let Layer { inputs, form, .. } = &found[layer].layer;
-                let at = at(&mut inputs.iter().map(|input| &input.name));
+                let name = found[layer].layer.output.as_str();
+                let at = greatest(&mut found[layer].inputs().iter().map(|input| {
+                    let name = input.name.as_str();
+                    inside.get(name).or_else(|| level.get(name)).copied()
+                }));
                 levels[layer] = at;
-                let leaves = usize::from(matches!(form, Form::Floats));
-                level.extend(node.output.iter().map(|name| (name.as_str(), at + leaves)));
+                inside.insert(name, at);
+                let leaves = usize::from(matches!(found[layer].layer.form, Form::Floats));
+                level.insert(name, at + leaves);
             }
             None => {
-                let at = at(&mut node.input.iter());
+                let at = greatest(
+                    &mut node
+                        .input
+                        .iter()
+                        .map(|name| level.get(name.as_str()).copied()),
+                );
                 level.extend(node.output.iter().map(|name| (name.as_str(), at)));
             }
         }
@@ -160,33 +206,46 @@ fn island_node(
         .enumerate()
         .map(|(index, f)| (f.layer.output.as_str(), index))
         .collect();
+    let reader = Reader::new(graph);
+    // Dimensions of what comes from an earlier island.
+    let mut crossed: HashMap<String, usize> = HashMap::new();
+    let member_nodes: HashSet<usize> = found
+        .iter()
+        .zip(levels)
+        .filter(|(_, l)| **l == level)
+        .flat_map(|(member, _)| member.nodes.iter().copied())
+        .collect();
     for (member, _) in found.iter().zip(levels).filter(|(_, l)| **l == level) {
         nodes.extend(member.nodes.iter().copied());
-        if let Operation::Quantize = member.layer.operation {
-            inputs.push(member.layer.inputs[0].name.clone());
-        } else {
-            for input in &member.layer.inputs {
+        for input in member.inputs() {
+            let maker = makers.get(input.name.as_str()).copied();
+            let here = maker.is_some_and(|maker| levels[maker] == level);
+            if input.quantization.is_some() {
                 nodes.extend(dequantizers(graph, &input.name));
                 // Bytes of an earlier island come in as f32, which they survive unchanged.
-                let maker = makers[input.name.as_str()];
-                if levels[maker] < level {
+                if let Some(maker) = maker.filter(|_| !here) {
                     let (_, quantize) = crossers(graph, &found[maker]);
+                    let rank = reader.rank(&input.name).unwrap_or(4);
+                    crossed.insert(quantize.input[0].clone(), rank);
                     inputs.push(quantize.input[0].clone());
                     crossing.push(quantize);
                 }
+            } else if !here {
+                inputs.push(input.name.clone());
             }
         }
+        let name = &member.layer.output;
         if let Form::Floats = member.layer.form {
-            outputs.push(member.layer.output.clone());
+            // Read by layers of this island alone, it stays inside.
+            let inside = |index: &usize| member_nodes.contains(index);
+            let readers = reader.readers(name);
+            if readers.is_empty() || reader.is_output(name) || !readers.iter().all(inside) {
+                outputs.push(name.clone());
+            }
         }
         let leaves = |(reader, l): (&Recognized, &usize)| {
-            *l > level
-                && !matches!(reader.layer.operation, Operation::Quantize)
-                && reader
-                    .layer
-                    .inputs
-                    .iter()
-                    .any(|input| input.name == member.layer.output)
+            let reads = |input: &Operand| input.quantization.is_some() && input.name == *name;
+            *l > level && reader.inputs().iter().any(reads)
         };
         if found.iter().zip(levels).any(leaves) {
             let (dequantize, _) = crossers(graph, member);
@@ -222,6 +281,10 @@ fn island_node(
     node.splice(0..0, constants);
     let named = |name: &String| ValueInfoProto {
         name: name.clone(),
+        r#type: reader
+            .rank(name)
+            .or(crossed.get(name).copied())
+            .map(f32_of_rank),
         ..ValueInfoProto::default()
     };
     let read: HashSet<&str> = node
@@ -252,6 +315,20 @@ fn island_node(
             ..AttributeProto::default()
         }],
         ..NodeProto::default()
+    }
+}
+
+/// The type of an f32 tensor of so many dimensions of any length.
+fn f32_of_rank(rank: usize) -> TypeProto {
+    let tensor = type_proto::Tensor {
+        elem_type: tract_onnx::pb::tensor_proto::DataType::Float as i32,
+        shape: Some(TensorShapeProto {
+            dim: vec![Dimension::default(); rank],
+        }),
+    };
+    TypeProto {
+        value: Some(type_proto::Value::TensorType(tensor)),
+        ..TypeProto::default()
     }
 }
 

@@ -19,8 +19,15 @@
 //! - bilinear resize: `rne((interpolation of (x - z_i), along x first) s_i/s_o) + z_o`.
 //! - average: `rne(sum (x - z_i) (s_i / s_o / n)) + z_o`.
 //! - ReLU and Clip after any of these: `[low, high]`, since quantization is monotonic.
+//! - padding, spreading, flattening: bytes in other places, through a table where the scale changes.
+//! - a transposed convolution: a spread (`s - 1` zero points between pixels) and a convolution with mirrored taps.
+//! - anything else that goes element by element ([`super::expression`]): in f32, in the graph's own order, then quantized.
+//!
+//! Tensors have four dimensions, `[1, channels, height, width]`, or two, `[1, channels]`, which are kept as one pixel.
 
 use std::ops::RangeInclusive;
+
+use super::expression::Expression;
 
 /// Channels, height and width of a picture's tensor (one picture at a time).
 pub(crate) type Shape = [usize; 3];
@@ -56,13 +63,13 @@ pub(crate) fn saturate(value: f32, zero: u8, range: &RangeInclusive<u8>) -> u8 {
     byte.clamp(i32::from(*range.start()), i32::from(*range.end())) as u8
 }
 
-/// A byte tensor that a layer reads.
+/// A tensor that a layer reads.
 #[derive(Clone, Debug)]
 pub(crate) struct Operand {
     /// The tensor's name.
     pub(crate) name: String,
-    /// How the layer reads its bytes.
-    pub(crate) quantization: Quantization,
+    /// How the layer reads its bytes; `None` where it is f32.
+    pub(crate) quantization: Option<Quantization>,
 }
 
 /// What a layer writes.
@@ -75,7 +82,7 @@ pub(crate) enum Form {
         /// What ReLU and Clip leave of 0 to 255.
         range: RangeInclusive<u8>,
     },
-    /// f32, in ONNX's planar layout, for whoever comes after the island.
+    /// f32, in ONNX's planar layout, for whoever comes after the island or for an expression in it.
     Floats,
 }
 
@@ -101,9 +108,9 @@ pub(crate) enum Operation {
     Dequantize,
     /// Two-dimensional convolution.
     Convolution(Convolution),
-    /// Sum of two tensors of one shape.
+    /// Sum of two tensors, broadcast.
     Add,
-    /// Product of two tensors of one shape.
+    /// Product of two tensors, broadcast.
     Multiply,
     /// Channels of several tensors, one after the other.
     Concat,
@@ -117,6 +124,19 @@ pub(crate) enum Operation {
     AveragePool(Window, bool),
     /// The mean of each channel.
     GlobalAveragePool,
+    /// Pixels further apart, or more of them around.
+    Pad(Pad),
+    /// Channels, rows and columns, in this order, as channels of one pixel.
+    Flatten,
+    /// What goes element by element, broadcast.
+    Elementwise(Expression),
+}
+
+impl Operation {
+    /// Whether it only moves bytes in and out.
+    pub(crate) fn is_border(&self) -> bool {
+        matches!(self, Operation::Quantize | Operation::Dequantize)
+    }
 }
 
 /// Where a window of a convolution or a pool stands. Pairs are (along the height, along the width).
@@ -130,6 +150,19 @@ pub(crate) struct Window {
     pub(crate) dilations: [usize; 2],
     /// Rows above, columns left, rows below, columns right.
     pub(crate) padding: Padding,
+    /// Whether a last window may stand out over the end of the padding.
+    pub(crate) ceil: bool,
+}
+
+/// Where a window's output stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Placed {
+    /// Padding above and left.
+    pub(crate) before: [usize; 2],
+    /// Height and width of the input with all its padding.
+    pub(crate) padded: [usize; 2],
+    /// Height and width of the output.
+    pub(crate) output: [usize; 2],
 }
 
 /// How many rows and columns of padding.
@@ -141,39 +174,118 @@ pub(crate) enum Padding {
     Same(bool),
 }
 
+impl Placed {
+    /// How many taps of the window of this output (row, column) stand on the input or on its padding.
+    pub(crate) fn taps(&self, window: &Window, at: [usize; 2]) -> usize {
+        let along = |axis: usize| {
+            let first = at[axis] * window.strides[axis];
+            let on = |tap: &usize| first + tap * window.dilations[axis] < self.padded[axis];
+            (0..window.kernel[axis]).filter(on).count()
+        };
+        along(0) * along(1)
+    }
+}
+
 impl Window {
-    /// Padding above and left, and height and width of the output.
-    pub(crate) fn place(&self, input: [usize; 2]) -> Result<([usize; 2], [usize; 2]), String> {
-        let mut before = [0; 2];
-        let mut output = [0; 2];
+    /// Over an input of this height and width.
+    pub(crate) fn place(&self, input: [usize; 2]) -> Result<Placed, String> {
+        let mut placed = Placed {
+            before: [0; 2],
+            padded: [0; 2],
+            output: [0; 2],
+        };
         for axis in 0..2 {
             let reach = (self.kernel[axis] - 1) * self.dilations[axis] + 1;
-            let padded = match &self.padding {
-                Padding::Explicit(pads) => {
-                    before[axis] = pads[axis];
-                    input[axis] + pads[axis] + pads[axis + 2]
-                }
+            let stride = self.strides[axis];
+            let (before, padded) = match &self.padding {
+                Padding::Explicit(pads) => (pads[axis], input[axis] + pads[axis] + pads[axis + 2]),
                 Padding::Same(more_before) => {
-                    let outputs = input[axis].div_ceil(self.strides[axis]);
-                    let needed = outputs.saturating_sub(1) * self.strides[axis] + reach;
+                    let outputs = input[axis].div_ceil(stride);
+                    let needed = outputs.saturating_sub(1) * stride + reach;
                     let total = needed.saturating_sub(input[axis]);
-                    before[axis] = if *more_before {
+                    let before = if *more_before {
                         total.div_ceil(2)
                     } else {
                         total / 2
                     };
-                    input[axis] + total
+                    (before, input[axis] + total)
                 }
             };
-            if padded < reach || before[axis] >= reach {
+            if padded < reach || before >= reach {
                 return Err(format!(
-                    "a window of {reach} does not fit {} pixels with {} of padding",
-                    input[axis], before[axis]
+                    "a window of {reach} does not fit {} pixels with {before} of padding",
+                    input[axis]
                 ));
             }
-            output[axis] = (padded - reach) / self.strides[axis] + 1;
+            let mut steps = (padded - reach) / stride;
+            // As PyTorch has it: no window starts beyond the input.
+            if self.ceil
+                && steps * stride + reach < padded
+                && (steps + 1) * stride < input[axis] + before
+            {
+                steps += 1;
+            }
+            placed.before[axis] = before;
+            placed.padded[axis] = padded;
+            placed.output[axis] = steps + 1;
         }
-        Ok((before, output))
+        Ok(placed)
+    }
+}
+
+/// Where each row and column of a padded tensor comes from. Pairs are (along the height, along the width).
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Pad {
+    /// Rows above and columns left; negative: cut off.
+    pub(crate) before: [i64; 2],
+    /// Rows below and columns right; negative: cut off.
+    pub(crate) after: [i64; 2],
+    /// From pixel to pixel of the input; 1 where they stay neighbours.
+    pub(crate) apart: [usize; 2],
+    /// What stands where no pixel of the input does.
+    pub(crate) fill: Fill,
+}
+
+/// What padding consists of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Fill {
+    /// A real number.
+    Constant(f32),
+    /// The nearest pixel.
+    Edge,
+    /// The picture mirrored at its outermost pixels.
+    Reflect,
+}
+
+impl Pad {
+    fn output(&self, axis: usize, input: usize) -> Result<usize, String> {
+        let spread = ((input - 1) * self.apart[axis] + 1) as i64;
+        let length = spread + self.before[axis] + self.after[axis];
+        if self.fill == Fill::Reflect && self.before[axis].max(self.after[axis]) >= input as i64 {
+            return Err(format!("{input} pixels are too few to mirror"));
+        }
+        usize::try_from(length)
+            .ok()
+            .filter(|&length| length > 0)
+            .ok_or_else(|| format!("nothing remains of {input} pixels"))
+    }
+
+    /// The row (axis 0) or column (axis 1) of the input that each of the output is; `None`: a constant.
+    pub(crate) fn axis(&self, axis: usize, input: usize) -> Result<Vec<Option<usize>>, String> {
+        let last = input as i64 - 1;
+        let source = |at: usize| {
+            let at = at as i64 - self.before[axis];
+            let apart = self.apart[axis] as i64;
+            let at = match self.fill {
+                Fill::Constant(_) => (at.rem_euclid(apart) == 0
+                    && (0..=last * apart).contains(&at))
+                .then_some(at / apart),
+                Fill::Edge => Some(at.clamp(0, last)),
+                Fill::Reflect => Some(last - (last - at.abs()).abs()),
+            };
+            at.map(|at| at as usize)
+        };
+        Ok((0..self.output(axis, input)?).map(source).collect())
     }
 }
 
@@ -186,8 +298,8 @@ pub(crate) struct Convolution {
     pub(crate) inputs: usize,
     /// Number of output channels.
     pub(crate) outputs: usize,
-    /// `[outputs, inputs (1 if depthwise), kernel rows, kernel columns]`.
-    pub(crate) weights: Vec<i8>,
+    /// Less their zero points, -255 to 255: `[outputs, inputs (1 if depthwise), kernel rows, kernel columns]`.
+    pub(crate) weights: Vec<i16>,
     /// Scale of each output channel's weights.
     pub(crate) scales: Vec<f32>,
     /// Bias of each output channel, in units of `s_i s_w`.
@@ -198,9 +310,24 @@ pub(crate) struct Convolution {
 
 impl Convolution {
     /// Weights of one output channel.
-    pub(crate) fn filter(&self, output: usize) -> &[i8] {
+    pub(crate) fn filter(&self, output: usize) -> &[i16] {
         let length = self.weights.len() / self.outputs;
         &self.weights[output * length..][..length]
+    }
+
+    /// The same with a filter over all channels for each output, all but one zero.
+    pub(crate) fn into_dense(mut self) -> Self {
+        if self.depthwise {
+            let taps = self.weights.len() / self.outputs;
+            let mut weights = vec![0; self.outputs * self.inputs * taps];
+            for output in 0..self.outputs {
+                weights[(output * self.inputs + output) * taps..][..taps]
+                    .copy_from_slice(self.filter(output));
+            }
+            self.weights = weights;
+            self.depthwise = false;
+        }
+        self
     }
 
     /// Factor from accumulator to output steps (to real values where the output is f32), per output channel.
@@ -377,6 +504,8 @@ impl Layer {
         let with = |channels: usize, [height, width]: [usize; 2]| [channels, height, width];
         let shape = match &self.operation {
             Operation::Quantize | Operation::Dequantize | Operation::Table(_) => inputs[0],
+            Operation::Pad(pad) => with(channels, [pad.output(0, height)?, pad.output(1, width)?]),
+            Operation::Flatten => with(channels * height * width, [1, 1]),
             Operation::Convolution(convolution) => {
                 if channels != convolution.inputs {
                     return Err(format!(
@@ -384,16 +513,17 @@ impl Layer {
                         convolution.inputs
                     ));
                 }
-                with(convolution.outputs, convolution.window.place(size)?.1)
+                with(convolution.outputs, convolution.window.place(size)?.output)
             }
-            Operation::Add | Operation::Multiply => {
-                if inputs[0] != inputs[1] {
-                    return Err(format!(
-                        "shapes {:?} and {:?} do not match",
-                        inputs[0], inputs[1]
-                    ));
-                }
-                inputs[0]
+            Operation::Add | Operation::Multiply | Operation::Elementwise(_) => {
+                let constants = match &self.operation {
+                    Operation::Elementwise(expression) => expression.channels(),
+                    _ => 1,
+                };
+                inputs
+                    .iter()
+                    .chain([&[constants, 1, 1]])
+                    .try_fold([1; 3], |one, other| broadcast(one, *other))?
             }
             Operation::Concat => {
                 if inputs.iter().any(|shape| shape[1..] != inputs[0][1..]) {
@@ -403,7 +533,7 @@ impl Layer {
             }
             Operation::Resize(resize) => with(channels, resize.output(size)),
             Operation::MaxPool(window) | Operation::AveragePool(window, _) => {
-                with(channels, window.place(size)?.1)
+                with(channels, window.place(size)?.output)
             }
             Operation::GlobalAveragePool => with(channels, [1, 1]),
         };
@@ -412,4 +542,17 @@ impl Layer {
         }
         Ok(shape)
     }
+}
+
+/// What two shapes are together: an axis of length 1 is repeated.
+fn broadcast(one: Shape, other: Shape) -> Result<Shape, String> {
+    let mut both = one;
+    for (both, length) in both.iter_mut().zip(other) {
+        *both = match (*both, length) {
+            (1, length) | (length, 1) => length,
+            (length, same) if length == same => length,
+            _ => return Err(format!("shapes {one:?} and {other:?} do not match")),
+        };
+    }
+    Ok(both)
 }

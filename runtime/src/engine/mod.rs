@@ -1,6 +1,7 @@
 //! The quantized engine: runs the int8 parts of a network faster than tract does, with the same meaning.
 //!
-//! [`recognize`] finds layers between QuantizeLinear and DequantizeLinear in the ONNX graph; [`island`] gathers them and
+//! [`qlinear`] and [`tidy`] bring what different tools write into one form; [`recognize`] finds layers between
+//! QuantizeLinear and DequantizeLinear in the ONNX graph; [`island`] gathers them and
 //! replaces each gathering by one operator of tract ([`operator`]); [`layer`] says exactly what a layer means;
 //! [`schedule`] lays out its memory and shares out its rows among [`threads`]; [`kernels`] are the inner loops; a network
 //! that is all one island runs without tract ([`whole`]). What is not recognized stays with tract, and where an island cannot be planned, the whole model does.
@@ -9,20 +10,24 @@
 //! None on any model or picture. `unsafe` is in [`kernels`], [`arena`] and [`threads`] only.
 
 mod arena;
+mod expression;
 mod island;
 mod kernels;
 mod layer;
 mod operator;
 mod pixels;
+mod qlinear;
 mod recognize;
 mod schedule;
 mod threads;
+mod tidy;
 mod whole;
 
 use tract_onnx::pb::ModelProto;
 
 pub use kernels::Kernel;
 pub(crate) use operator::register;
+pub(crate) use qlinear::to_qdq;
 pub(crate) use whole::{Entrance, Whole};
 
 /// How a model's quantized layers are run.

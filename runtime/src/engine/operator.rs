@@ -11,7 +11,7 @@ use super::arena::Shared;
 use super::island::{BODY, ISLAND, Island};
 use super::kernels::Kernel;
 use super::layer::Shape;
-use super::recognize::attribute;
+use super::recognize::graph::attribute;
 use super::schedule::{Inputs, Schedule};
 
 /// Names of the attributes of an island's node that say how to run it.
@@ -69,6 +69,15 @@ struct Unplanned {
     threads: usize,
 }
 
+/// The shape of an island's tensor as tract sees it.
+fn dimensions(flat: bool, [channels, height, width]: Shape) -> TVec<usize> {
+    if flat {
+        tvec!(1, channels)
+    } else {
+        tvec!(1, channels, height, width)
+    }
+}
+
 fn picture(shape: &[TDim]) -> TractResult<Shape> {
     match shape
         .iter()
@@ -76,18 +85,20 @@ fn picture(shape: &[TDim]) -> TractResult<Shape> {
         .collect::<TractResult<Vec<_>>>()?[..]
     {
         [1, channels, height, width] => Ok([channels, height, width]),
+        [1, channels] => Ok([channels, 1, 1]),
         _ => bail!("a quantized island reads [1, channels, height, width], not {shape:?}"),
     }
 }
 
-fn outputs(island: &Island, inputs: &[Shape]) -> TractResult<Vec<Shape>> {
+/// Shapes of the outputs, as tract sees them.
+fn outputs(island: &Island, inputs: &[Shape]) -> TractResult<Vec<TVec<usize>>> {
     let shapes = island
         .shapes(inputs)
         .map_err(|reason| format_err!(reason))?;
     let shape = |name: &String| {
         shapes
             .get(name.as_str())
-            .copied()
+            .map(|shape| dimensions(island.flat.contains(name), *shape))
             .with_context(|| format!("`{name}` is not made"))
     };
     island.outputs.iter().map(shape).collect()
@@ -112,7 +123,15 @@ impl Expansion for Unplanned {
         check_output_arity(writes, self.island.outputs.len())?;
         for tensor in inputs.iter().chain(writes) {
             solver.equals(&tensor.datum_type, f32::datum_type())?;
-            solver.equals(&tensor.rank, 4)?;
+        }
+        let names = self.island.inputs.iter().chain(&self.island.outputs);
+        for (name, tensor) in names.zip(inputs.iter().chain(writes)) {
+            let rank = if self.island.flat.contains(name) {
+                2
+            } else {
+                4
+            };
+            solver.equals(&tensor.rank, rank)?;
         }
         solver.given_all(
             inputs.iter().map(|input| &input.shape),
@@ -121,11 +140,9 @@ impl Expansion for Unplanned {
                     .iter()
                     .map(|shape| picture(shape))
                     .collect::<TractResult<_>>()?;
-                for (output, [c, h, w]) in writes.iter().zip(outputs(&self.island, &shapes)?) {
-                    solver.equals(
-                        &output.shape,
-                        ShapeFactoid::from(tvec!(1.to_dim(), c.to_dim(), h.to_dim(), w.to_dim())),
-                    )?;
+                for (output, shape) in writes.iter().zip(outputs(&self.island, &shapes)?) {
+                    let shape: TVec<TDim> = shape.iter().map(|n| n.to_dim()).collect();
+                    solver.equals(&output.shape, ShapeFactoid::from(shape))?;
                 }
                 Ok(())
             },
@@ -144,10 +161,10 @@ impl Expansion for Unplanned {
             .collect::<TractResult<_>>()?;
         let schedule = Schedule::new(&self.island, &shapes, self.kernel, self.threads)
             .map_err(|reason| format_err!(reason))?;
-        let shapes: Vec<Shape> = schedule.output_shapes().to_vec();
+        let shapes = outputs(&self.island, &shapes)?;
         let outputs = shapes
             .iter()
-            .map(|[c, h, w]| Tensor::zero::<f32>(&[1, *c, *h, *w]).map(Arc::new));
+            .map(|shape| Tensor::zero::<f32>(shape).map(Arc::new));
         let running = Running {
             schedule,
             outputs: outputs.collect::<TractResult<_>>()?,
@@ -163,7 +180,7 @@ impl Expansion for Unplanned {
 /// An island that runs.
 #[derive(Clone)]
 struct Operator {
-    shapes: Vec<Shape>,
+    shapes: Vec<TVec<usize>>,
     running: Arc<Mutex<Running>>,
 }
 
@@ -238,11 +255,7 @@ impl EvalOp for Operator {
 
 impl TypedOp for Operator {
     fn output_facts(&self, _: &[&TypedFact]) -> TractResult<TVec<TypedFact>> {
-        Ok(self
-            .shapes
-            .iter()
-            .map(|[c, h, w]| f32::fact([1, *c, *h, *w]))
-            .collect())
+        Ok(self.shapes.iter().map(f32::fact).collect())
     }
 
     as_op!();

@@ -8,13 +8,16 @@ use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
 use super::arena::{Arena, Shared};
+use super::expression::{Binary, Expression};
 use super::island::Island;
 use super::kernels::{
-    Addition, Dense, Depthwise, Halves, Kernel, Row, ToBytes, average_row, concat_row, copy_row,
-    dequantize_row, max_row, multiply_row, quantize_row, resize_row, table_row,
+    Addition, Dense, Depthwise, Halves, Kernel, Row, ToBytes, average_row, channel_row, concat_row,
+    copy_row, dequantize_row, flatten, max_row, multiply_row, pad_row, quantize_row, resize_row,
+    store_channel, table_row,
 };
 use super::layer::{
-    Between, Convolution, Form, Layer, Operand, Operation, Quantization, Shape, Window,
+    Between, Convolution, Fill, Form, Layer, Operand, Operation, Placed, Quantization, Shape,
+    Window,
 };
 use super::threads::{Member, Team};
 
@@ -76,7 +79,10 @@ struct Taps {
 
 impl Taps {
     fn new(window: &Window, input: &Buffer, runs: Vec<usize>) -> Result<Self, String> {
-        let ([top, left], _) = window.place([input.height, input.width])?;
+        let Placed {
+            before: [top, left],
+            ..
+        } = window.place([input.height, input.width])?;
         Ok(Self {
             runs,
             base: (input.border - top) * input.row_bytes() + (input.border - left) * input.pitch,
@@ -98,10 +104,29 @@ impl Taps {
     }
 }
 
+/// Where a planar f32 tensor is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Planes {
+    /// Among the island's inputs.
+    Input(usize),
+    /// Among its outputs.
+    Output(usize),
+    /// In the island's own memory, from this number on.
+    Inner(usize),
+}
+
+/// What an elementwise layer reads.
+#[derive(Debug)]
+enum Source {
+    Bytes(Buffer, Quantization),
+    Floats(Planes, Shape),
+}
+
 #[derive(Debug)]
 enum Work {
     Quantize {
-        input: usize,
+        input: Planes,
+        shape: Shape,
         quantization: Quantization,
     },
     Dense {
@@ -113,7 +138,7 @@ enum Work {
     DenseFloats {
         dense: Dense,
         taps: Taps,
-        outputs: Vec<(usize, usize)>,
+        outputs: Vec<(Planes, usize)>,
         size: [usize; 2],
     },
     Depthwise {
@@ -137,14 +162,29 @@ enum Work {
         factor: f32,
         same: bool,
     },
+    Pad {
+        rows: Vec<Option<usize>>,
+        columns: Vec<Option<usize>>,
+        fill: u8,
+        table: Box<[u8; 256]>,
+    },
+    Flatten(Box<[u8; 256]>),
+    /// To bytes, or where there is no such buffer to planes of f32.
+    Elementwise {
+        expression: Expression,
+        sources: Vec<Source>,
+        shape: Shape,
+        quantization: Option<Quantization>,
+        output: Option<Planes>,
+    },
     MaxPool {
         window: Window,
-        before: [usize; 2],
+        placed: Placed,
         table: Box<[u8; 256]>,
     },
     Average {
         window: Window,
-        before: [usize; 2],
+        placed: Placed,
         counts_padding: bool,
         zero: u8,
         factor: f32,
@@ -152,7 +192,7 @@ enum Work {
     },
     Dequantize {
         quantization: Quantization,
-        output: usize,
+        output: Planes,
     },
 }
 
@@ -173,6 +213,8 @@ pub(crate) struct Schedule {
     /// What the first step writes, where bytes can be written instead of quantizing the only input.
     entrance: Option<(Buffer, Quantization)>,
     arena: Arena,
+    /// f32 tensors that do not leave the island.
+    floats: Vec<f32>,
     team: Team,
     /// A row of f32 for each member.
     scratch: Vec<Mutex<Vec<f32>>>,
@@ -210,9 +252,10 @@ impl Schedule {
         let outputs: Vec<Shape> = island.outputs.iter().map(shape).collect::<Result<_, _>>()?;
         let order = with_siblings_together(&island.layers);
         let (buffers, arena) = place(&order, &shapes)?;
+        let (planes, floats) = place_floats(island, &order, &shapes)?;
         let steps = order
             .iter()
-            .map(|siblings| step(island, siblings, &buffers, &shapes, kernel))
+            .map(|siblings| step(siblings, &buffers, &planes, &shapes, kernel))
             .collect::<Result<Vec<_>, _>>()?;
         let team = Team::new(threads);
         let widest = steps.iter().map(scratch).max().unwrap_or(0);
@@ -224,6 +267,7 @@ impl Schedule {
             entrance: entrance(&steps),
             steps,
             arena: Arena::new(arena),
+            floats: vec![0.0; floats],
             team,
             scratch,
             inputs: inputs.to_vec(),
@@ -231,7 +275,7 @@ impl Schedule {
         })
     }
 
-    /// Shapes of the f32 tensors that it writes.
+    /// Shapes of the f32 tensors that it writes; those of two dimensions have height and width 1.
     pub(crate) fn output_shapes(&self) -> &[Shape] {
         &self.outputs
     }
@@ -284,9 +328,9 @@ impl Schedule {
         let run = Run {
             kernel: self.kernel,
             arena: Shared::new(self.arena.bytes()),
+            floats: Shared::new(&mut self.floats),
             scratch: &self.scratch,
             inputs,
-            shapes: &self.inputs,
             outputs,
         };
         let whole = self.team.run(&|member: &Member<'_>| {
@@ -304,10 +348,17 @@ impl Schedule {
 /// The first step's output and quantization, if it quantizes the only input, to four bytes a pixel.
 fn entrance(steps: &[Step]) -> Option<(Buffer, Quantization)> {
     let (first, rest) = steps.split_first()?;
-    let quantizes = |step: &Step| matches!(step.work, Work::Quantize { .. });
+    let takes_f32 = |step: &Step| match &step.work {
+        Work::Quantize { input, .. } => matches!(input, Planes::Input(_)),
+        Work::Elementwise { sources, .. } => {
+            let is_input = |source: &Source| matches!(source, Source::Floats(Planes::Input(_), _));
+            sources.iter().any(is_input)
+        }
+        _ => false,
+    };
     match (&first.work, first.writes) {
         (&Work::Quantize { quantization, .. }, Some(buffer))
-            if buffer.pitch == 4 && !rest.iter().any(quantizes) =>
+            if buffer.pitch == 4 && takes_f32(first) && !rest.iter().any(takes_f32) =>
         {
             Some((buffer, quantization))
         }
@@ -380,9 +431,19 @@ fn with_siblings_together(layers: &[Layer]) -> Vec<Vec<&Layer>> {
     order
 }
 
-fn pitch(layer: &Layer, channels: usize) -> usize {
+/// Bytes from pixel to pixel: four for what enters for dense convolutions alone.
+fn pitch(layer: &Layer, channels: usize, order: &[Vec<&Layer>]) -> usize {
+    let reads = |reader: &&&Layer| {
+        let named = |input: &Operand| input.name == layer.output;
+        reader.inputs.iter().any(named)
+    };
+    let takes_four = |reader: &&Layer| match &reader.operation {
+        Operation::Convolution(convolution) => !convolution.depthwise,
+        operation => matches!(operation, Operation::Dequantize),
+    };
+    let mut readers = order.iter().flatten().filter(reads);
     match layer.operation {
-        Operation::Quantize if channels <= 4 => 4,
+        Operation::Quantize if channels <= 4 && readers.all(takes_four) => 4,
         _ => channels.next_multiple_of(16),
     }
 }
@@ -402,7 +463,7 @@ fn place<'a>(
     {
         if let Form::Bytes { quantization, .. } = layer.form {
             let [channels, height, width] = shapes[layer.output.as_str()];
-            let pitch = pitch(layer, channels);
+            let pitch = pitch(layer, channels, order);
             let zero = quantization.zero;
             let buffer = Buffer {
                 offset: 0,
@@ -428,7 +489,14 @@ fn place<'a>(
                 continue;
             };
             let size = [buffer.height, buffer.width];
-            let (before, outputs) = window.place(size)?;
+            let Placed {
+                before,
+                output: outputs,
+                ..
+            } = window.place(size)?;
+            let Some(quantization) = input.quantization else {
+                continue;
+            };
             let border = (0..2).map(|axis| {
                 let end = (outputs[axis] - 1) * window.strides[axis]
                     + (window.kernel[axis] - 1) * window.dilations[axis]
@@ -437,10 +505,8 @@ fn place<'a>(
             });
             let border = border.max().unwrap_or(0);
             if border > 0 {
-                let zero = *border_of
-                    .entry(&input.name)
-                    .or_insert(input.quantization.zero);
-                if zero != input.quantization.zero {
+                let zero = *border_of.entry(&input.name).or_insert(quantization.zero);
+                if zero != quantization.zero {
                     return Err(format!("`{}` is read with two zero points", input.name));
                 }
                 buffer.zero = zero;
@@ -448,17 +514,73 @@ fn place<'a>(
             }
         }
     }
-    // The largest first, each at the lowest place that is free for as long as it lives.
-    let mut names: Vec<&str> = buffers.keys().copied().collect();
-    names.sort_by_key(|name| (std::cmp::Reverse(buffers[name].len()), live[name], *name));
+    let sizes: Vec<_> = buffers
+        .iter()
+        .map(|(name, buffer)| (*name, buffer.len().next_multiple_of(64), live[name]))
+        .collect();
+    let (places, end) = pack(sizes);
+    if end > MAX_ARENA {
+        return Err(format!("it would need {end} bytes"));
+    }
+    for (name, buffer) in &mut buffers {
+        buffer.offset = places[name];
+    }
+    Ok((buffers, end))
+}
+
+/// Where each f32 tensor is, and how many numbers those that stay inside take.
+fn place_floats<'a>(
+    island: &'a Island,
+    order: &[Vec<&'a Layer>],
+    shapes: &HashMap<&str, Shape>,
+) -> Result<(HashMap<&'a str, Planes>, usize), String> {
+    let mut planes: HashMap<&str, Planes> = HashMap::new();
+    for (number, name) in island.inputs.iter().enumerate() {
+        planes.insert(name, Planes::Input(number));
+    }
+    for (number, name) in island.outputs.iter().enumerate() {
+        planes.insert(name, Planes::Output(number));
+    }
+    let mut live: HashMap<&str, [usize; 2]> = HashMap::new();
+    for (time, layer) in order
+        .iter()
+        .enumerate()
+        .flat_map(|(time, layers)| layers.iter().map(move |l| (time, *l)))
+    {
+        for input in &layer.inputs {
+            if let Some(live) = live.get_mut(input.name.as_str()) {
+                live[1] = time;
+            }
+        }
+        if matches!(layer.form, Form::Floats) && !planes.contains_key(layer.output.as_str()) {
+            live.insert(&layer.output, [time, time]);
+        }
+    }
+    let length = |name: &str| shapes[name].iter().product::<usize>();
+    let (places, end) = pack(
+        live.iter()
+            .map(|(name, live)| (*name, length(name), *live))
+            .collect(),
+    );
+    if end > MAX_ARENA / size_of::<f32>() {
+        return Err(format!("it would need {end} numbers"));
+    }
+    planes.extend(
+        places
+            .into_iter()
+            .map(|(name, at)| (name, Planes::Inner(at))),
+    );
+    Ok((planes, end))
+}
+
+/// Gives tensors (name, length, first and last time) places that those alive at the same time do not share: the largest
+/// first, each at the lowest place that is free for as long as it lives. Returns the end of the last, too.
+fn pack(mut tensors: Vec<(&str, usize, [usize; 2])>) -> (HashMap<&str, usize>, usize) {
+    tensors.sort_by_key(|&(name, length, live)| (std::cmp::Reverse(length), live, name));
     let mut placed: Vec<(Range<usize>, [usize; 2])> = Vec::new();
+    let mut places = HashMap::new();
     let mut end = 0;
-    for name in names {
-        let [first, last] = live[name];
-        let Some(buffer) = buffers.get_mut(name) else {
-            continue;
-        };
-        let length = buffer.len().next_multiple_of(64);
+    for (name, length, [first, last]) in tensors {
         let mut taken: Vec<&Range<usize>> = placed
             .iter()
             .filter(|(_, [f, l])| *f <= last && first <= *l)
@@ -472,14 +594,11 @@ fn place<'a>(
             }
             offset = offset.max(range.end);
         }
-        buffer.offset = offset;
+        places.insert(name, offset);
         end = end.max(offset + length);
         placed.push((offset..offset + length, [first, last]));
     }
-    if end > MAX_ARENA {
-        return Err(format!("it would need {end} bytes"));
-    }
-    Ok((buffers, end))
+    (places, end)
 }
 
 /// What a change of scale makes of each byte.
@@ -497,9 +616,9 @@ fn rescale(
 
 /// The work of one layer, or of several siblings.
 fn step(
-    island: &Island,
     siblings: &[&Layer],
     buffers: &HashMap<&str, Buffer>,
+    planes: &HashMap<&str, Planes>,
     shapes: &HashMap<&str, Shape>,
     kernel: Kernel,
 ) -> Result<Step, String> {
@@ -511,41 +630,95 @@ fn step(
             .copied()
             .ok_or_else(|| unknown(&operand.name))
     };
-    let output = |layer: &Layer| {
-        island
-            .outputs
-            .iter()
-            .position(|name| *name == layer.output)
-            .ok_or_else(|| unknown(&layer.output))
+    let floats = |name: &String| {
+        planes
+            .get(name.as_str())
+            .copied()
+            .ok_or_else(|| unknown(name))
     };
-    let [_, rows, width] = shapes[layer.output.as_str()];
+    let output = |layer: &Layer| floats(&layer.output);
+    let shape @ [_, rows, width] = shapes[layer.output.as_str()];
     let writes = buffers.get(layer.output.as_str()).copied();
-    if let Operation::Quantize = layer.operation {
-        let name = &layer.inputs[0].name;
-        let input = island
-            .inputs
-            .iter()
-            .position(|input| input == name)
-            .ok_or_else(|| unknown(name))?;
-        let work = Work::Quantize {
-            input,
-            quantization: layer.inputs[0].quantization,
+    let elementwise = |expression: Expression| {
+        let source = |operand: &Operand| match operand.quantization {
+            Some(quantization) => Ok(Source::Bytes(buffer(operand)?, quantization)),
+            None => Ok(Source::Floats(
+                floats(&operand.name)?,
+                shapes[operand.name.as_str()],
+            )),
         };
-        return Ok(Step {
+        let (quantization, output) = match &layer.form {
+            Form::Bytes { quantization, .. } => (Some(*quantization), None),
+            Form::Floats => (None, Some(output(layer)?)),
+        };
+        let work = Work::Elementwise {
+            expression,
+            sources: layer
+                .inputs
+                .iter()
+                .map(source)
+                .collect::<Result<_, String>>()?,
+            shape,
+            quantization,
+            output,
+        };
+        Ok(Step {
             work,
             reads: Vec::new(),
             writes,
             rows,
-        });
+        })
+    };
+    match &layer.operation {
+        Operation::Quantize => {
+            let Form::Bytes { quantization, .. } = layer.form else {
+                return Err(unknown(&layer.output));
+            };
+            let name = &layer.inputs[0].name;
+            let work = Work::Quantize {
+                input: floats(name)?,
+                shape: shapes[name.as_str()],
+                quantization,
+            };
+            return Ok(Step {
+                work,
+                reads: Vec::new(),
+                writes,
+                rows,
+            });
+        }
+        Operation::Elementwise(expression) => return elementwise(expression.clone()),
+        _ => {}
     }
-    let reads: Vec<Buffer> = layer.inputs.iter().map(buffer).collect::<Result<_, _>>()?;
-    let from: Vec<Quantization> = layer
+    let mut reads: Vec<Buffer> = layer.inputs.iter().map(buffer).collect::<Result<_, _>>()?;
+    let mut from = layer
         .inputs
         .iter()
-        .map(|input| input.quantization)
-        .collect();
+        .map(|input| input.quantization.ok_or_else(|| unknown(&input.name)))
+        .collect::<Result<Vec<Quantization>, _>>()?;
+    if let Operation::Add | Operation::Multiply = layer.operation {
+        let pixel = |buffer: &Buffer| [buffer.height, buffer.width] == [1, 1];
+        // One pixel for all comes second. Other repetition is rare.
+        if pixel(&reads[0]) {
+            reads.swap(0, 1);
+            from.swap(0, 1);
+        }
+        let whole = |buffer: &Buffer| [buffer.channels, buffer.height, buffer.width] == shape;
+        let repeats = pixel(&reads[1]) && reads[1].channels == shape[0];
+        if !whole(&reads[0]) || !(whole(&reads[1]) || repeats) {
+            let binary = match layer.operation {
+                Operation::Add => Binary::Add,
+                _ => Binary::Mul,
+            };
+            let inputs = [0, 1].map(|number| Box::new(Expression::Input(number)));
+            let [one, other] = inputs;
+            return elementwise(Expression::Binary(binary, one, other));
+        }
+    }
     let work = match (&layer.operation, &layer.form) {
-        (Operation::Quantize, _) => return Err(unknown(&layer.output)),
+        (Operation::Quantize | Operation::Elementwise(_), _) => {
+            return Err(unknown(&layer.output));
+        }
         (Operation::Dequantize, _) => Work::Dequantize {
             quantization: from[0],
             output: output(layer)?,
@@ -559,7 +732,7 @@ fn step(
                 })
                 .collect();
             let (dense, runs) = dense(kernel, &convolutions, from[0], &layer.form, &reads[0]);
-            let outputs: Result<Vec<usize>, String> =
+            let outputs: Result<Vec<Planes>, String> =
                 siblings.iter().map(|layer| output(layer)).collect();
             let channels = convolutions.iter().map(|convolution| convolution.outputs);
             Work::DenseFloats {
@@ -583,17 +756,28 @@ fn step(
             let window = &convolution.window;
             if convolution.depthwise {
                 let input = &reads[0];
-                let runs = (0..window.kernel[0]).flat_map(|row| {
-                    (0..window.kernel[1]).map(move |column| {
-                        row * window.dilations[0] * input.row_bytes()
+                let parts = parts(convolution);
+                let [rows, columns] = window.kernel;
+                let runs = (0..parts * rows).flat_map(|row| {
+                    (0..columns).map(move |column| {
+                        row % rows * window.dilations[0] * input.row_bytes()
                             + column * window.dilations[1] * input.pitch
                     })
                 });
+                // A part's filter follows the other's, as more rows of taps.
+                let filters: Vec<i8> = (0..convolution.outputs)
+                    .flat_map(|output| {
+                        (0..parts).flat_map(move |number| {
+                            let filter = convolution.filter(output);
+                            filter.iter().map(move |&weight| part(weight, number))
+                        })
+                    })
+                    .collect();
                 let depthwise = Depthwise::new(
                     kernel,
                     input.pitch,
-                    window.kernel,
-                    &convolution.weights,
+                    [parts * rows, columns],
+                    &filters,
                     &convolution.starts(from[0]),
                     &convolution.factors(from[0], &layer.form),
                 );
@@ -627,7 +811,7 @@ fn step(
             let zero = from[0].zero;
             let pitches: Vec<usize> = reads.iter().map(|read| read.pitch).collect();
             let out_pitch = writes.map_or(0, |buffer| buffer.pitch);
-            if !matches!(operation, Operation::Concat)
+            if !matches!(operation, Operation::Concat | Operation::Flatten)
                 && pitches.iter().any(|&pitch| pitch != out_pitch)
             {
                 return Err(format!(
@@ -664,14 +848,28 @@ fn step(
                     factor,
                     same: !resize.linear && from[0] == *quantization && *range == (0..=255),
                 },
+                Operation::Pad(pad) => Work::Pad {
+                    rows: pad.axis(0, size[0])?,
+                    columns: pad.axis(1, size[1])?,
+                    fill: match pad.fill {
+                        Fill::Constant(real) => {
+                            quantization.byte(real).clamp(*range.start(), *range.end())
+                        }
+                        Fill::Edge | Fill::Reflect => quantization.zero,
+                    },
+                    table: Box::new(rescale(from[0], *quantization, range)),
+                },
+                Operation::Flatten => {
+                    Work::Flatten(Box::new(rescale(from[0], *quantization, range)))
+                }
                 Operation::MaxPool(window) => Work::MaxPool {
                     window: window.clone(),
-                    before: window.place(size)?.0,
+                    placed: window.place(size)?,
                     table: Box::new(rescale(from[0], *quantization, range)),
                 },
                 Operation::AveragePool(window, counts_padding) => Work::Average {
                     window: window.clone(),
-                    before: window.place(size)?.0,
+                    placed: window.place(size)?,
                     counts_padding: *counts_padding,
                     zero,
                     factor,
@@ -683,17 +881,21 @@ fn step(
                         strides: [1; 2],
                         dilations: [1; 2],
                         padding: super::layer::Padding::Explicit([0; 4]),
+                        ceil: false,
                     };
                     Work::Average {
+                        placed: window.place(size)?,
                         window,
-                        before: [0; 2],
                         counts_padding: false,
                         zero,
                         factor,
                         to,
                     }
                 }
-                Operation::Quantize | Operation::Dequantize | Operation::Convolution(_) => {
+                Operation::Quantize
+                | Operation::Dequantize
+                | Operation::Convolution(_)
+                | Operation::Elementwise(_) => {
                     return Err(unknown(&layer.output));
                 }
             }
@@ -705,6 +907,25 @@ fn step(
         writes,
         rows,
     })
+}
+
+/// Weights of two's complement bytes that make up each weight: two where one is not enough.
+fn parts(convolution: &Convolution) -> usize {
+    let fits = |&weight: &i16| i8::try_from(weight).is_ok();
+    if convolution.weights.iter().all(fits) {
+        1
+    } else {
+        2
+    }
+}
+
+/// One of the weights that make up `weight`, which is from -255 to 255.
+fn part(weight: i16, number: usize) -> i8 {
+    let first = weight.clamp(-128, 127);
+    match number {
+        0 => first as i8,
+        _ => (weight - first) as i8,
+    }
 }
 
 /// Packs convolutions that read the same pixels, one after the other, and says where their runs are.
@@ -722,6 +943,7 @@ fn dense(
         .unzip();
     let [rows, columns] = window.kernel;
     let channels = inputs.next_multiple_of(4);
+    let parts = convolutions.iter().map(|c| parts(c)).max().unwrap_or(1);
     // Neighbouring taps of a row are neighbours in memory: one run.
     let (runs, run): (Vec<usize>, usize) = if window.dilations[1] == 1 {
         let starts = (0..rows).map(|row| row * window.dilations[0] * input.row_bytes());
@@ -733,7 +955,11 @@ fn dense(
         });
         (starts.collect(), channels)
     };
+    // What is too large for one weight is read again, with the rest of it.
+    let once = runs.len();
+    let runs = runs.repeat(parts);
     let weight = |output: usize, number: usize, byte: usize| {
+        let (again, number) = (number / once, number % once);
         let (row, column, channel) = if window.dilations[1] == 1 {
             (number, byte / input.pitch, byte % input.pitch)
         } else {
@@ -744,7 +970,7 @@ fn dense(
             if output < convolution.outputs {
                 let at = (channel * rows + row) * columns + column;
                 return if channel < *inputs {
-                    convolution.filter(output)[at]
+                    part(convolution.filter(output)[at], again)
                 } else {
                     0
                 };
@@ -775,6 +1001,9 @@ fn dense(
 fn scratch(step: &Step) -> usize {
     match &step.work {
         Work::DenseFloats { dense, size, .. } => dense.lanes() * size[1],
+        Work::Elementwise {
+            expression, shape, ..
+        } => (1 + expression.scratch()) * shape[2],
         _ => 0,
     }
 }
@@ -783,9 +1012,9 @@ fn scratch(step: &Step) -> usize {
 struct Run<'a> {
     kernel: Kernel,
     arena: Shared<'a, u8>,
+    floats: Shared<'a, f32>,
     scratch: &'a [Mutex<Vec<f32>>],
     inputs: &'a [&'a [f32]],
-    shapes: &'a [Shape],
     outputs: &'a [Shared<'a, f32>],
 }
 
@@ -797,30 +1026,104 @@ impl Run<'_> {
         unsafe { self.arena.read(range) }
     }
 
+    /// A row of one plane.
+    fn plane(&self, planes: Planes, [_, height, width]: Shape, channel: usize, y: usize) -> &[f32] {
+        let start = (channel * height + y) * width;
+        let row = start..start + width;
+        match planes {
+            Planes::Input(number) => &self.inputs[number][row],
+            // SAFETY: this step does not write what it reads, and all members finished the steps that wrote it.
+            Planes::Output(number) => unsafe { self.outputs[number].read(row) },
+            // SAFETY: as above, and `place_floats` gave it a place of its own.
+            Planes::Inner(at) => unsafe { self.floats.read(at + row.start..at + row.end) },
+        }
+    }
+
+    /// The same to write; nothing where it is an input.
+    #[expect(clippy::mut_from_ref, reason = "rows are shared out among the members")]
+    fn plane_to_write(
+        &self,
+        planes: Planes,
+        [_, height, width]: Shape,
+        channel: usize,
+        y: usize,
+    ) -> &mut [f32] {
+        let start = (channel * height + y) * width;
+        match planes {
+            Planes::Input(_) => &mut [],
+            // SAFETY: each row of an output is one member's, and its output one step's.
+            Planes::Output(number) => unsafe { self.outputs[number].write(start..start + width) },
+            // SAFETY: as above, and `place_floats` gave it a place that nothing else is in as long as it is read.
+            Planes::Inner(at) => unsafe { self.floats.write(at + start..at + start + width) },
+        }
+    }
+
+    /// A row of one channel of an elementwise layer.
+    fn evaluate(
+        &self,
+        work: (&Expression, &[Source]),
+        channel: usize,
+        y: usize,
+        out: &mut [f32],
+        scratch: &mut [f32],
+    ) {
+        let (expression, sources) = work;
+        let source = |number: usize, row: &mut [f32]| match &sources[number] {
+            Source::Bytes(buffer, quantization) => {
+                let y = y.min(buffer.height - 1);
+                let channel = channel.min(buffer.channels - 1);
+                channel_row(
+                    self.read(buffer.row(y)),
+                    channel,
+                    buffer.pitch,
+                    *quantization,
+                    row,
+                );
+            }
+            Source::Floats(planes, shape) => {
+                let plane = self.plane(
+                    *planes,
+                    *shape,
+                    channel.min(shape[0] - 1),
+                    y.min(shape[1] - 1),
+                );
+                match plane {
+                    [one] => row.fill(*one),
+                    plane => row.copy_from_slice(plane),
+                }
+            }
+        };
+        expression.row(&source, channel, out, scratch);
+    }
+
     /// One member's share of a step.
     fn step(&self, step: &Step, member: &Member<'_>) {
         let rows = member.share(step.rows);
         match &step.writes {
             Some(buffer) => write_rows(&self.arena, buffer, rows, |y, row| {
-                self.row(step, buffer, y, row)
+                self.row(step, buffer, y, row, member.number)
             }),
             None => rows.for_each(|y| self.leave(step, y, member.number)),
         }
     }
 
     /// One row of bytes.
-    fn row(&self, step: &Step, buffer: &Buffer, y: usize, out: &mut [u8]) {
+    fn row(&self, step: &Step, buffer: &Buffer, y: usize, out: &mut [u8], member: usize) {
         let kernel = self.kernel;
         let input = |number: usize| self.read(step.reads[number].row(y));
+        // Of a tensor of one pixel, that one.
+        let pixel = |number: usize| {
+            let read = &step.reads[number];
+            self.read(read.row(y.min(read.height - 1)))
+        };
         match &step.work {
             Work::Quantize {
                 input,
+                shape,
                 quantization,
             } => {
-                let [channels, height, width] = self.shapes[*input];
-                let plane = |channel: usize| {
-                    &self.inputs[*input][(channel * height + y) * width..][..width]
-                };
+                let channels = shape[0];
+                let plane = |channel: usize| self.plane(*input, *shape, channel, y);
                 if buffer.pitch == 4 {
                     let mut planes: [&[f32]; 4] = [&[]; 4];
                     for (channel, place) in planes.iter_mut().enumerate().take(channels) {
@@ -848,9 +1151,61 @@ impl Run<'_> {
                 let row = taps.row(self.read(step.reads[0].all()), y, buffer.width);
                 kernel.depthwise(depthwise, &row, to, out);
             }
-            Work::Add(addition) => kernel.add(addition, input(0), input(1), out),
+            Work::Add(addition) => {
+                for (one, other, out) in pixels(&step.reads, [input(0), pixel(1)], out) {
+                    kernel.add(addition, one, other, out);
+                }
+            }
             Work::Multiply { zeros, factor, to } => {
-                multiply_row(*zeros, *factor, to, input(0), input(1), out)
+                for (one, other, out) in pixels(&step.reads, [input(0), pixel(1)], out) {
+                    multiply_row(*zeros, *factor, to, one, other, out);
+                }
+            }
+            Work::Pad {
+                rows,
+                columns,
+                fill,
+                table,
+            } => match rows[y] {
+                None => out.fill(*fill),
+                Some(y) => {
+                    let input = self.read(step.reads[0].row(y));
+                    pad_row(input, columns, buffer.pitch, *fill, table, out);
+                }
+            },
+            Work::Flatten(table) => {
+                let read = &step.reads[0];
+                out.fill(buffer.zero);
+                for y in 0..read.height {
+                    let input = self.read(read.row(y));
+                    flatten(
+                        table,
+                        input,
+                        [read.channels, read.height, read.pitch],
+                        y,
+                        out,
+                    );
+                }
+            }
+            Work::Elementwise {
+                expression,
+                sources,
+                shape,
+                quantization,
+                ..
+            } => {
+                let Some(quantization) = quantization else {
+                    return;
+                };
+                let mut scratch = self.scratch[member]
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner);
+                let (values, scratch) = scratch.split_at_mut(shape[2]);
+                out.fill(buffer.zero);
+                for channel in 0..shape[0] {
+                    self.evaluate((expression, sources), channel, y, values, scratch);
+                    store_channel(values, channel, buffer.pitch, *quantization, out);
+                }
             }
             Work::Table(table) => table_row(table, input(0), out),
             Work::Concat(tables) => {
@@ -894,12 +1249,12 @@ impl Run<'_> {
             }
             Work::MaxPool {
                 window,
-                before,
+                placed,
                 table,
             } => {
                 for (x, out) in out.chunks_exact_mut(buffer.pitch).enumerate() {
                     max_row(
-                        self.taps(&step.reads[0], window, *before, [y, x]),
+                        self.taps(&step.reads[0], window, placed.before, [y, x]),
                         table,
                         out,
                     );
@@ -907,17 +1262,16 @@ impl Run<'_> {
             }
             Work::Average {
                 window,
-                before,
+                placed,
                 counts_padding,
                 zero,
                 factor,
                 to,
             } => {
                 for (x, out) in out.chunks_exact_mut(buffer.pitch).enumerate() {
-                    let taps = self.taps(&step.reads[0], window, *before, [y, x]);
-                    let all = window.kernel[0] * window.kernel[1];
+                    let taps = self.taps(&step.reads[0], window, placed.before, [y, x]);
                     let count = if *counts_padding {
-                        all
+                        placed.taps(window, [y, x])
                     } else {
                         taps.clone().count()
                     };
@@ -952,11 +1306,6 @@ impl Run<'_> {
 
     /// One row that leaves as f32.
     fn leave(&self, step: &Step, y: usize, member: usize) {
-        let plane = |output: usize, channel: usize, [height, width]: [usize; 2]| {
-            let start = (channel * height + y) * width;
-            // SAFETY: each row of an output is one member's, and its output one step's.
-            unsafe { self.outputs[output].write(start..start + width) }
-        };
         match &step.work {
             Work::DenseFloats {
                 dense,
@@ -972,8 +1321,10 @@ impl Run<'_> {
                 self.kernel.dense_floats(dense, &row, scratch);
                 let mut lanes = scratch.chunks_exact(size[1]);
                 for &(output, channels) in outputs {
+                    let shape = [channels, size[0], size[1]];
                     for (channel, lane) in lanes.by_ref().take(channels).enumerate() {
-                        plane(output, channel, *size).copy_from_slice(lane);
+                        self.plane_to_write(output, shape, channel, y)
+                            .copy_from_slice(lane);
                     }
                 }
             }
@@ -989,7 +1340,7 @@ impl Run<'_> {
                     ..
                 } = step.reads[0];
                 for channel in 0..channels {
-                    let out = plane(*output, channel, [height, width]);
+                    let out = self.plane_to_write(*output, [channels, height, width], channel, y);
                     dequantize_row(
                         self.read(step.reads[0].row(y)),
                         channel,
@@ -999,7 +1350,37 @@ impl Run<'_> {
                     );
                 }
             }
+            Work::Elementwise {
+                expression,
+                sources,
+                shape,
+                output: Some(output),
+                ..
+            } => {
+                let mut scratch = self.scratch[member]
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner);
+                for channel in 0..shape[0] {
+                    let out = self.plane_to_write(*output, *shape, channel, y);
+                    self.evaluate((expression, sources), channel, y, out, &mut scratch);
+                }
+            }
             _ => {}
         }
     }
+}
+
+/// Rows to work on together: the whole rows, or where the second is one pixel for all, pixel by pixel.
+fn pixels<'a>(
+    reads: &[Buffer],
+    [one, other]: [&'a [u8]; 2],
+    out: &'a mut [u8],
+) -> impl Iterator<Item = (&'a [u8], &'a [u8], &'a mut [u8])> {
+    let length = match reads {
+        [one, other] if one.width != other.width || one.height != other.height => other.pitch,
+        _ => out.len(),
+    };
+    one.chunks(length.max(1))
+        .zip(out.chunks_mut(length.max(1)))
+        .map(move |(one, out)| (one, other, out))
 }

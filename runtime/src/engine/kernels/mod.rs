@@ -30,8 +30,8 @@ use avx512vnni::Interleaved;
 #[cfg(target_arch = "aarch64")]
 use neon::depthwise::Interleaved;
 pub(crate) use portable::{
-    Halves, average_row, concat_row, copy_row, dequantize_row, max_row, multiply_row, quantize_row,
-    resize_row, table_row,
+    Halves, average_row, channel_row, concat_row, copy_row, dequantize_row, flatten, max_row,
+    multiply_row, pad_row, quantize_row, resize_row, store_channel, table_row,
 };
 
 /// Lanes of a block of output channels.

@@ -156,6 +156,67 @@ pub(crate) fn dequantize_row(
     }
 }
 
+/// One channel of a row of pixels as f32; where there is only one pixel, for all.
+pub(crate) fn channel_row(
+    input: &[u8],
+    channel: usize,
+    pitch: usize,
+    quantization: Quantization,
+    out: &mut [f32],
+) {
+    if input.len() == pitch {
+        out.fill(quantization.real(input[channel]));
+    } else {
+        dequantize_row(input, channel, pitch, quantization, out);
+    }
+}
+
+/// A row of f32 as one channel of a row of pixels.
+pub(crate) fn store_channel(
+    values: &[f32],
+    channel: usize,
+    pitch: usize,
+    quantization: Quantization,
+    out: &mut [u8],
+) {
+    for (pixel, &value) in out.chunks_exact_mut(pitch).zip(values) {
+        pixel[channel] = quantization.byte(value);
+    }
+}
+
+/// A row of pixels in other columns, through a table, and `fill` where there is none.
+pub(crate) fn pad_row(
+    input: &[u8],
+    columns: &[Option<usize>],
+    pitch: usize,
+    fill: u8,
+    table: &[u8; 256],
+    out: &mut [u8],
+) {
+    for (column, out) in columns.iter().zip(out.chunks_exact_mut(pitch)) {
+        match column {
+            Some(column) => table_row(table, &input[column * pitch..][..pitch], out),
+            None => out.fill(fill),
+        }
+    }
+}
+
+/// Row `y` of a tensor (channels, height, pitch) as channels of one pixel, `[channel][y][x]`, through a table.
+pub(crate) fn flatten(
+    table: &[u8; 256],
+    input: &[u8],
+    [channels, height, pitch]: [usize; 3],
+    y: usize,
+    out: &mut [u8],
+) {
+    let width = input.len() / pitch;
+    for (x, pixel) in input.chunks_exact(pitch).enumerate() {
+        for (channel, &byte) in pixel[..channels].iter().enumerate() {
+            out[(channel * height + y) * width + x] = table[usize::from(byte)];
+        }
+    }
+}
+
 /// A function of every byte.
 pub(crate) fn table_row(table: &[u8; 256], input: &[u8], out: &mut [u8]) {
     for (out, &byte) in out.iter_mut().zip(input) {

@@ -1,0 +1,342 @@
+//! Files as other people's tools write them (`fixtures/engine`), layer by layer against ONNX Runtime and against tract.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use tract_onnx::pb::{ModelProto, NodeProto, TensorProto};
+use tract_onnx::tract_hir::internal::Tensor;
+
+use super::super::island::ISLAND;
+use super::super::recognize::graph::{Reader, input};
+use super::super::tidy::tidy;
+use super::*;
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/engine")
+}
+
+/// A file in the form that the engine works on, and ONNX Runtime's values of its tensors.
+fn file(name: &str) -> (ModelProto, HashMap<String, Tensor>) {
+    let read = |name: String| {
+        let bytes = std::fs::read(folder().join(name)).unwrap();
+        tract_onnx::onnx()
+            .proto_model_for_read(&mut bytes.as_slice())
+            .unwrap()
+    };
+    let mut model = read(format!("{name}.onnx"));
+    to_qdq(&mut model);
+    model.graph = Some(tidy(&model, model.graph.as_ref().unwrap()));
+    let golden = read(format!("{name}.golden.onnx")).graph.unwrap();
+    let tensor = |tensor: &TensorProto| {
+        let value = tract_onnx::tensor::load_tensor(
+            &tract_onnx::data_resolver::MmapDataResolver,
+            tensor,
+            None,
+        );
+        (tensor.name.clone(), value.unwrap())
+    };
+    (model, golden.initializer.iter().map(tensor).collect())
+}
+
+/// Bytes of any type, as numbers.
+fn bytes(tensor: &Tensor) -> Vec<i32> {
+    let plain = tensor.try_as_plain_ram().unwrap();
+    match plain.as_slice::<u8>() {
+        Ok(bytes) => bytes.iter().map(|&byte| byte.into()).collect(),
+        Err(_) => plain
+            .as_slice::<i8>()
+            .unwrap()
+            .iter()
+            .map(|&byte| byte.into())
+            .collect(),
+    }
+}
+
+fn reals(tensor: &Tensor) -> Vec<f32> {
+    tensor
+        .try_as_plain_ram()
+        .unwrap()
+        .as_slice::<f32>()
+        .unwrap()
+        .to_vec()
+}
+
+/// Runs a model on all of its inputs, by name.
+fn outputs(model: &ModelProto, engine: Engine, values: &HashMap<String, Tensor>) -> Vec<Tensor> {
+    let split = engine.split(model);
+    let model = split.as_ref().unwrap_or(model);
+    let mut onnx = tract_onnx::onnx();
+    register(&mut onnx);
+    let names: Vec<&String> = model
+        .graph
+        .as_ref()
+        .unwrap()
+        .input
+        .iter()
+        .map(|i| &i.name)
+        .collect();
+    let mut plan = onnx.model_for_proto_model(model).unwrap();
+    for (index, name) in names.iter().enumerate() {
+        plan.set_input_fact(index, f32::fact(values[*name].shape()).into())
+            .unwrap();
+    }
+    let plan = plan.into_optimized().unwrap().into_runnable().unwrap();
+    let inputs = names
+        .iter()
+        .map(|name| values[*name].clone().into_tvalue())
+        .collect();
+    plan.run(inputs)
+        .unwrap()
+        .into_iter()
+        .map(|value| value.into_tensor())
+        .collect()
+}
+
+/// A byte tensor where a model is cut open.
+struct Cut {
+    /// Its name.
+    name: String,
+    /// What is quantized there.
+    float: String,
+    steps: Steps,
+}
+
+/// The model with every byte tensor of an activation made an output, as f32, and read from an input of its own.
+fn cut_open(model: &ModelProto, values: &HashMap<String, Tensor>) -> (ModelProto, Vec<Cut>) {
+    let mut open = model.clone();
+    let reader = Reader::new(model.graph.as_ref().unwrap());
+    let graph = open.graph.as_mut().unwrap();
+    let mut cuts = Vec::new();
+    let mut enter: Vec<NodeProto> = Vec::new();
+    let mut leave: Vec<NodeProto> = Vec::new();
+    for node in &mut graph.node {
+        let is_weight = input(node, 0).is_some_and(|name| reader.is_constant(name));
+        if node.op_type != "QuantizeLinear" || is_weight || !values.contains_key(&node.output[0]) {
+            continue;
+        }
+        let (name, float) = (node.output[0].clone(), node.input[0].clone());
+        let (zero, _, kind) = reader.integers(&node.input[2]).unwrap();
+        let steps = Steps {
+            scale: reader.floats(&node.input[1]).unwrap()[0],
+            zero: zero[0] as i32,
+            signed: kind == DatumType::I8,
+        };
+        let like = |op: &str, from: String, to: String| NodeProto {
+            op_type: op.into(),
+            input: [vec![from], node.input[1..].to_vec()].concat(),
+            output: vec![to],
+            ..NodeProto::default()
+        };
+        enter.push(like("QuantizeLinear", format!("{name} in"), name.clone()));
+        leave.push(like(
+            "DequantizeLinear",
+            format!("{name} made"),
+            format!("{name} out"),
+        ));
+        node.output[0] = format!("{name} made");
+        cuts.push(Cut { name, float, steps });
+    }
+    for cut in &cuts {
+        let tensor = Builder::input(&format!("{} in", cut.name), values[&cut.name].shape());
+        graph.input.push(tensor);
+        graph.output.push(ValueInfoProto {
+            name: format!("{} out", cut.name),
+            ..ValueInfoProto::default()
+        });
+    }
+    let (constants, rest): (Vec<_>, Vec<_>) = graph
+        .node
+        .drain(..)
+        .partition(|node| node.op_type == "Constant");
+    graph.node = [constants, enter, rest, leave].concat();
+    (open, cuts)
+}
+
+/// What a comparison of layers found.
+#[derive(Debug, Default)]
+struct Found {
+    bytes: usize,
+    /// Bytes that differ, all of them on the edge between two steps.
+    ties: usize,
+    /// Farthest from the nearest step, in steps; 0.5 is the edge.
+    farthest: f64,
+    /// Greatest difference of outputs in f32.
+    floats: f32,
+}
+
+/// Gives each layer the bytes of `values` and holds its bytes against them: the same, or one step away where tract's
+/// f32 operators give a number on the edge between two steps, within `edge` of a step.
+fn compare_layers(
+    model: &ModelProto,
+    values: &HashMap<String, Tensor>,
+    engine: Engine,
+    edge: f64,
+    case: &str,
+) -> Found {
+    let (open, cuts) = cut_open(model, values);
+    let mut inputs = values.clone();
+    for cut in &cuts {
+        let real = |byte: i32| (byte - cut.steps.zero) as f32 * cut.steps.scale;
+        let value: Vec<f32> = bytes(&values[&cut.name]).into_iter().map(real).collect();
+        let value = Tensor::from_shape(values[&cut.name].shape(), &value).unwrap();
+        inputs.insert(format!("{} in", cut.name), value);
+    }
+    let ours = outputs(&open, engine, &inputs);
+    let mut in_floats = open.clone();
+    let graph = in_floats.graph.as_mut().unwrap();
+    let finals = model.graph.as_ref().unwrap().output.len();
+    for (output, cut) in graph.output[finals..].iter_mut().zip(&cuts) {
+        // An input of the graph cannot be an output of tract's.
+        output.name.clone_from(&cut.float);
+    }
+    let quantizes_input: Vec<bool> = cuts
+        .iter()
+        .map(|cut| cut.float == graph.input[0].name)
+        .collect();
+    let mut number = 0;
+    graph.output.retain(|_| {
+        number += 1;
+        number <= finals || !quantizes_input[number - 1 - finals]
+    });
+    let mut theirs = outputs(&in_floats, Engine::Tract, &inputs).into_iter();
+    let mut found = Found::default();
+    for (output, ours) in model.graph.as_ref().unwrap().output.iter().zip(&ours) {
+        let (ours, _tracts) = (reals(ours), theirs.next().unwrap());
+        for (a, b) in ours.iter().zip(reals(&values[&output.name])) {
+            found.floats = found.floats.max((a - b).abs());
+        }
+        assert_eq!(
+            ours.len(),
+            values[&output.name].len(),
+            "{case}: `{}`",
+            output.name
+        );
+    }
+    for ((cut, ours), is_input) in cuts.iter().zip(&ours[finals..]).zip(quantizes_input) {
+        let float = if is_input {
+            reals(&values[&cut.float])
+        } else {
+            reals(&theirs.next().unwrap())
+        };
+        let expected = bytes(&values[&cut.name]);
+        let ours = reals(ours);
+        assert_eq!(
+            [ours.len(), float.len()],
+            [expected.len(); 2],
+            "{case}: `{}`",
+            cut.name
+        );
+        for ((ours, expected), float) in ours.into_iter().zip(expected).zip(float) {
+            let step = (ours / cut.steps.scale).round() as i32 + cut.steps.zero;
+            let exact = f64::from(float) / f64::from(cut.steps.scale) + f64::from(cut.steps.zero);
+            let least = f64::from(cut.steps.least());
+            let exact = exact.clamp(least, least + 255.0);
+            let apart = [step, expected].map(|step| (f64::from(step) - exact).abs());
+            found.farthest = apart.into_iter().fold(found.farthest, f64::max);
+            found.bytes += 1;
+            found.ties += usize::from(step != expected);
+            assert!(
+                step == expected || apart.iter().all(|apart| *apart <= 0.5 + edge),
+                "{case}: `{}` is {step}, not {expected}, of {exact}",
+                cut.name
+            );
+        }
+    }
+    found
+}
+
+/// Operators that are left to tract, and the number of islands.
+fn left(model: &ModelProto) -> (Vec<String>, usize) {
+    let split = fastest().split(model);
+    let graph = split.as_ref().unwrap_or(model).graph.as_ref().unwrap();
+    let (islands, rest): (Vec<_>, Vec<_>) =
+        graph.node.iter().partition(|node| node.op_type == ISLAND);
+    (
+        rest.iter().map(|node| node.op_type.clone()).collect(),
+        islands.len(),
+    )
+}
+
+/// Files, and what of them is left to tract.
+const FILES: &[(&str, usize, &[&str])] = &[
+    (
+        "decoder-ort-qlinear-u8s8",
+        3,
+        &["Elu", "ConvTranspose", "ConvTranspose"],
+    ),
+    (
+        "decoder-ort-qlinear-u8u8",
+        3,
+        &["Elu", "ConvTranspose", "ConvTranspose"],
+    ),
+    ("decoder-ort-s8s8", 1, &[]),
+    ("decoder-ort-u8s8", 1, &[]),
+    ("decoder-ort-u8u8", 1, &[]),
+    ("gate-ort-qlinear-u8s8", 1, &[]),
+    ("gate-ort-qlinear-u8u8", 1, &[]),
+    ("gate-ort-s8s8", 1, &[]),
+    ("gate-ort-u8s8", 1, &[]),
+    ("gate-ort-u8u8", 1, &[]),
+    ("gate-torch", 1, &[]),
+    ("mobile-ort-qlinear-u8s8", 1, &[]),
+    ("mobile-ort-qlinear-u8u8", 1, &[]),
+    ("mobile-ort-s8s8", 1, &[]),
+    ("mobile-ort-u8s8", 1, &[]),
+    ("mobile-ort-u8u8", 1, &[]),
+    ("mobile-torch", 1, &[]),
+    ("residual-ort-qlinear-u8s8", 1, &[]),
+    ("residual-ort-qlinear-u8u8", 1, &[]),
+    ("residual-ort-s8s8", 1, &[]),
+    ("residual-ort-u8s8", 1, &[]),
+    ("residual-ort-u8u8", 1, &[]),
+    ("residual-reduced", 1, &[]),
+    // Its MaxPool is read as f32, too.
+    ("residual-tensorrt", 2, &["Relu", "MaxPool"]),
+    ("residual-tensorrt-residual", 1, &[]),
+    ("residual-torch", 1, &[]),
+];
+
+#[test]
+fn files_of_other_tools_run_in_the_engine() {
+    for (name, islands, operators) in FILES {
+        let (model, _) = file(name);
+        let (rest, found) = left(&model);
+        assert_eq!(
+            (found, rest),
+            (
+                *islands,
+                operators.iter().map(|&op| op.to_owned()).collect()
+            ),
+            "{name}"
+        );
+    }
+}
+
+/// Farther than this from the edge between two steps, bytes must be ONNX Runtime's.
+const EDGE: f64 = 1e-4;
+
+#[test]
+fn files_of_other_tools_give_what_onnx_runtime_gives() {
+    for kernel in [Kernel::Portable, Kernel::best()] {
+        let engine = Engine::Quantized { kernel, threads: 2 };
+        for (name, ..) in FILES {
+            let (model, values) = file(name);
+            let found = compare_layers(&model, &values, engine, EDGE, name);
+            println!("{name}: {found:?}");
+            assert!(found.floats < 1e-4, "{name}: {}", found.floats);
+            // Where no layer is on an edge, all of them together give the same too.
+            if found.ties == 0 {
+                let whole = outputs(&model, engine, &values);
+                for (output, value) in model.graph.as_ref().unwrap().output.iter().zip(whole) {
+                    let expected = reals(&values[&output.name]);
+                    for (ours, expected) in reals(&value).into_iter().zip(expected) {
+                        assert!(
+                            (ours - expected).abs() < 1e-4,
+                            "{name}: {ours} and {expected}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
