@@ -88,9 +88,11 @@ pub struct Fusion {
     depth: DepthRange,
     /// 1/m: the inverse depth of the farthest ground.
     ground_floor: f32,
+    /// The first of the output's rows that are made, and the one after the last.
+    rows: [u32; 2],
 }
 
-/// Where results go: slices of the output's pixels, row-major.
+/// Where results go: slices of the output's pixels (of the [`Fusion::rows`] that are made), row-major.
 #[derive(Debug, Default)]
 pub struct FusedMaps<'a> {
     /// Depth, metres.
@@ -135,10 +137,28 @@ impl Fusion {
             upsampling,
             depth,
             ground_floor: ground_floor.max(MIN_INVERSE_DEPTH),
+            rows: [0, u32::MAX],
         })
     }
 
-    /// Baseline: the residual is the depth. `depth` has `output.pixels()` values.
+    /// Only these rows of the output, of those that it has; maps then hold no others. The bytes are the same, so that
+    /// several threads can make an output together, each with scratch of its own.
+    #[must_use]
+    pub const fn rows(self, rows: core::ops::Range<u32>) -> Self {
+        Self {
+            rows: [rows.start, rows.end],
+            ..self
+        }
+    }
+
+    /// The rows of this output that are made, and how many values they have.
+    fn part(&self, output: ImageSize) -> (core::ops::Range<u32>, usize) {
+        let [first, end] = self.rows.map(|row| row.min(output.height()));
+        let rows = end.saturating_sub(first) as usize;
+        (first..end, rows * output.row())
+    }
+
+    /// Baseline: the residual is the depth. `depth` has the output's pixels, or those of [`Self::rows`].
     ///
     /// # Errors
     /// [`Error::HeadChannels`], [`Error::HeadNotFinite`], [`Error::OutputLength`], [`Error::ScratchLength`].
@@ -150,10 +170,11 @@ impl Fusion {
         scratch: &mut [f32],
         depth: &mut [f32],
     ) -> Result<(), Error> {
-        check_output(output, depth)?;
+        let (rows, values) = self.part(output);
+        check_length(values, depth)?;
         let mut scratch = Scratch::new(scratch);
         let mut residual = Plane::residual(residual, self.upsampling, output, &mut scratch)?;
-        for (v, depth) in (0..).zip(depth.chunks_exact_mut(output.row())) {
+        for (v, depth) in rows.zip(depth.chunks_exact_mut(output.row())) {
             residual.row(v, depth)?;
             for depth in depth {
                 *depth = clamp(*depth, self.depth.min, self.depth.max);
@@ -223,9 +244,10 @@ impl Fusion {
     ) -> Result<(), Error> {
         let output = ground.size();
         let width = output.row();
-        check_output(output, maps.depth)?;
+        let (rows, values) = self.part(output);
+        check_length(values, maps.depth)?;
         for map in [&maps.attention, &maps.ground].into_iter().flatten() {
-            check_output(output, map)?;
+            check_length(values, map)?;
         }
         let mut residual = Plane::residual(residual, self.upsampling, output, scratch)?;
         let mut attention = Plane::attention(attention, self.upsampling, output, scratch)?;
@@ -234,7 +256,7 @@ impl Fusion {
         let attention_row = scratch.take(width)?;
         let mut attention_map = maps.attention.map(|map| map.chunks_exact_mut(width));
         let mut ground_map = maps.ground.map(|map| map.chunks_exact_mut(width));
-        for (v, depth_row) in (0..).zip(maps.depth.chunks_exact_mut(width)) {
+        for (v, depth_row) in rows.zip(maps.depth.chunks_exact_mut(width)) {
             ground.write_row(v, ground_row)?;
             if let Some((slope, tangents)) = &mut slope {
                 slope.row(v, tangents)?;
@@ -270,9 +292,13 @@ impl Fusion {
 }
 
 fn check_output(size: ImageSize, map: &[f32]) -> Result<(), Error> {
-    if map.len() != size.pixels() {
+    check_length(size.pixels(), map)
+}
+
+fn check_length(needed: usize, map: &[f32]) -> Result<(), Error> {
+    if map.len() != needed {
         return Err(Error::OutputLength {
-            needed: size.pixels(),
+            needed,
             given: map.len(),
         });
     }

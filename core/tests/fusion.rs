@@ -232,6 +232,15 @@ enum Mode {
 }
 
 fn fuse(case: &Case, mode: Mode, samples: [Samples<'_>; 3]) -> Result<Fused, Error> {
+    fuse_rows(case, mode, samples, 0..case.output.height())
+}
+
+fn fuse_rows(
+    case: &Case,
+    mode: Mode,
+    samples: [Samples<'_>; 3],
+    rows: std::ops::Range<u32>,
+) -> Result<Fused, Error> {
     let classes = classes();
     let residual = ResidualHead {
         map: HeadMap::new(samples[0], 1, case.head)?,
@@ -249,7 +258,7 @@ fn fuse(case: &Case, mode: Mode, samples: [Samples<'_>; 3]) -> Result<Fused, Err
         decode_at: case.at,
     };
     let ground = GroundView::from_values(&case.ground, case.output, HEIGHT as f32)?;
-    let pixels = case.output.pixels();
+    let pixels = rows.len() * case.output.width() as usize;
     let mut fused = Fused {
         depth: vec![f32::NAN; pixels],
         attention: vec![f32::NAN; pixels],
@@ -257,7 +266,7 @@ fn fuse(case: &Case, mode: Mode, samples: [Samples<'_>; 3]) -> Result<Fused, Err
     };
     let slope_classes = if mode == Mode::Adaptive { 8 } else { 0 };
     let mut scratch = vec![f32::NAN; scratch_len(case.output, case.head.width(), slope_classes)];
-    let fusion = fusion(case.upsampling);
+    let fusion = fusion(case.upsampling).rows(rows);
     let maps = FusedMaps {
         depth: &mut fused.depth,
         attention: Some(&mut fused.attention),
@@ -373,6 +382,23 @@ proptest! {
     #[test]
     fn adaptive(case in case()) {
         agrees(&case, Mode::Adaptive)?;
+    }
+
+    /// Stripes of rows, each made on its own, are the very bytes of the whole.
+    #[test]
+    fn rows(case in case(), at in any::<prop::sample::Index>()) {
+        let height = case.output.height();
+        let at = at.index(height as usize + 1) as u32;
+        for mode in [Mode::Baseline, Mode::Vanilla, Mode::Adaptive] {
+            let whole = fuse(&case, mode, floats(&case)).unwrap();
+            let stripes = [0..at, at..height].map(|r| fuse_rows(&case, mode, floats(&case), r).unwrap());
+            let bits = |maps: [&[f32]; 2]| maps.concat().into_iter().map(f32::to_bits).collect::<Vec<_>>();
+            prop_assert_eq!(bits([&stripes[0].depth, &stripes[1].depth]), bits([&whole.depth, &[]]));
+            prop_assert_eq!(bits([&stripes[0].ground, &stripes[1].ground]), bits([&whole.ground, &[]]));
+            prop_assert_eq!(
+                bits([&stripes[0].attention, &stripes[1].attention]), bits([&whole.attention, &[]])
+            );
+        }
     }
 
     /// 8-bit heads are what they stand for, to the last bit.

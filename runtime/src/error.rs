@@ -50,6 +50,14 @@ pub enum Error {
         /// Which sizes it takes.
         reason: String,
     },
+    /// The threads cannot be kept on these cores.
+    #[error("cannot keep the threads on the cores {cores:?}: {reason}")]
+    Cores {
+        /// The cores asked for.
+        cores: Vec<usize>,
+        /// Why not.
+        reason: String,
+    },
     /// A calibration file cannot be read.
     #[error("{path}: cannot read the calibration: {source}")]
     CalibrationRead {
@@ -131,7 +139,7 @@ impl Error {
     /// call.)
     pub fn exit_code(&self) -> u8 {
         match self {
-            Error::NetworkSize { .. } => 2,
+            Error::NetworkSize { .. } | Error::Cores { .. } => 2,
             Error::PictureRead { .. }
             | Error::PictureDecode { .. }
             | Error::PictureSize { .. }

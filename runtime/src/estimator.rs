@@ -4,18 +4,16 @@
 use std::time::{Duration, Instant};
 
 use gedepth_core::camera::{CameraModel, ImageSize};
-use gedepth_core::fusion::{
-    AttentionHead, DecodeAt, FusedMaps, Fusion, HeadMap, ResidualHead, Samples, SlopeHead,
-    scratch_len,
-};
+use gedepth_core::fusion::{FusedMaps, Fusion};
 use gedepth_core::table::{GroundRows, GroundView, write_depth};
 
 use crate::Error;
 use crate::calibration::Calibration;
 use crate::contract::Contract;
-use crate::model::{Model, Network, Outputs, Size};
+use crate::engine::LayerTime;
+use crate::heads::{fuse, outputs};
+use crate::model::{Model, Network, Size};
 use crate::preprocess::{Picture, Placement, Preprocessor};
-use crate::vectors::widest;
 
 /// At which size the depth is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +65,8 @@ pub struct Estimator {
     camera_height: f32,
     /// Inverse ground depth of the output's pixels, 1/m.
     table: Vec<f32>,
-    scratch: Vec<f32>,
+    /// Of each thread.
+    scratch: Vec<Vec<f32>>,
     depth: Vec<f32>,
     ground: Vec<f32>,
     attention: Vec<f32>,
@@ -162,6 +161,26 @@ impl Estimator {
         &self.placement
     }
 
+    /// Keeps each of the engine's threads on one of `cores` (numbers as Linux has them), in order: that of the caller, which
+    /// is one of them, on the first. Only where the engine runs the whole network.
+    pub fn pin_threads(&mut self, cores: &[usize]) -> Result<(), Error> {
+        self.network.pin(cores).map_err(|reason| Error::Cores {
+            cores: cores.to_vec(),
+            reason,
+        })
+    }
+
+    /// From now on measures how long each layer of the network takes, where the engine runs the whole of it.
+    pub fn measure_layers(&mut self) {
+        self.network.measure();
+    }
+
+    /// Times of the network's layers, summed over the pictures since [`Estimator::measure_layers`]; empty where tract
+    /// runs the network.
+    pub fn layer_times(&self) -> Vec<LayerTime> {
+        self.network.times()
+    }
+
     /// Estimates the depth of a picture from this estimator's camera.
     pub fn run(&mut self, picture: Picture<'_>) -> Result<Estimate<'_>, Error> {
         if picture.size() != self.picture {
@@ -174,7 +193,7 @@ impl Estimator {
         self.network
             .fill_input(|entrance| self.preprocessor.fill(picture, entrance))?;
         let filled = Instant::now();
-        let heads = self.network.run()?;
+        let (heads, threads) = self.network.run()?;
         let inferred = Instant::now();
         let maps = FusedMaps {
             depth: &mut self.depth,
@@ -187,16 +206,14 @@ impl Estimator {
         };
         let ground = GroundView::from_values(&self.table, self.output, self.camera_height)
             .map_err(|e| heads.unfit(e))?;
-        widest(|| {
-            fuse(
-                &self.contract,
-                &self.fusion,
-                &heads,
-                &ground,
-                &mut self.scratch,
-                maps,
-            )
-        })?;
+        fuse(
+            &self.contract,
+            &self.fusion,
+            (&heads, threads),
+            &ground,
+            &mut self.scratch,
+            maps,
+        )?;
         let fused = Instant::now();
         Ok(Estimate {
             size: (self.output.width(), self.output.height()),
@@ -211,69 +228,4 @@ impl Estimator {
             },
         })
     }
-}
-
-/// The outputs that fusion reads, in the order in which [`fuse`] does.
-fn outputs(contract: &Contract) -> Vec<&str> {
-    let attention = contract.attention.as_ref().map(|a| a.output.as_str());
-    let slope = contract.slope.as_ref().map(|s| s.output.as_str());
-    [Some(contract.residual.as_str()), attention, slope]
-        .into_iter()
-        .flatten()
-        .collect()
-}
-
-/// From the heads to depth.
-#[inline(always)]
-fn fuse(
-    contract: &Contract,
-    fusion: &Fusion,
-    heads: &Outputs<'_>,
-    ground: &GroundView<'_>,
-    scratch: &mut Vec<f32>,
-    maps: FusedMaps<'_>,
-) -> Result<(), Error> {
-    let map = |index| {
-        let (values, [channels, height, width]) = heads.head(index)?;
-        let side = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
-        ImageSize::new(side(width), side(height))
-            .and_then(|size| HeadMap::new(Samples::F32(values), channels, size))
-            .map_err(|e| heads.unfit(e))
-    };
-    let residual = ResidualHead {
-        map: map(0)?,
-        unit: contract.residual_unit,
-        decode_at: DecodeAt::HeadSize,
-    };
-    let output = ground.size();
-    let classes = contract
-        .slope
-        .as_ref()
-        .map_or(0, |slope| slope.classes.radians().len());
-    scratch.resize(
-        scratch_len(output, residual.map.size().width(), classes),
-        0.0,
-    );
-    let fused = match &contract.attention {
-        None => fusion.baseline(output, &residual, scratch, maps.depth),
-        Some(attention) => {
-            let attention = AttentionHead {
-                map: map(1)?,
-                unit: attention.unit,
-                decode_at: DecodeAt::HeadSize,
-            };
-            match &contract.slope {
-                None => fusion.vanilla(ground, &residual, &attention, scratch, maps),
-                Some(slope) => {
-                    let slope = SlopeHead {
-                        map: map(2)?,
-                        classes: &slope.classes,
-                        decode_at: slope.decode_at,
-                    };
-                    fusion.adaptive(ground, &residual, &attention, &slope, scratch, maps)
-                }
-            }
-        }
-    };
-    fused.map_err(|e| heads.unfit(e))
 }

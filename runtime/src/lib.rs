@@ -28,13 +28,14 @@ mod calibration;
 mod engine;
 mod error;
 mod estimator;
+mod heads;
 mod model;
 mod preprocess;
 mod resample;
 mod vectors;
 
 pub use calibration::{Calibration, Camera, json, kitti};
-pub use engine::{Engine, Kernel};
+pub use engine::{Engine, Kernel, LayerTime};
 pub use error::Error;
 pub use estimator::{Estimate, Estimator, OutputSize, StageTimes};
 pub use model::{Model, Size};

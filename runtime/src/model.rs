@@ -13,7 +13,7 @@ use tract_onnx::prelude::*;
 
 use crate::Error;
 use crate::contract::Contract;
-use crate::engine::{self, Engine, Entrance, Whole};
+use crate::engine::{self, Engine, Entrance, LayerTime, Results, Threads, Whole};
 
 /// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
 static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onnx");
@@ -320,24 +320,48 @@ impl Network {
             })
     }
 
-    /// Runs the network on its input.
-    pub(crate) fn run(&mut self) -> Result<Outputs<'_>, Error> {
+    /// Keeps each thread on one of `cores`, where the engine runs all layers.
+    pub(crate) fn pin(&mut self, cores: &[usize]) -> Result<(), String> {
+        match &mut self.plan {
+            Plan::Engine(whole) => whole.pin(cores),
+            Plan::Tract { .. } => Err("tract runs this model, on the caller's thread".to_owned()),
+        }
+    }
+
+    /// From now on measures how long each layer takes, where the engine runs all of them.
+    pub(crate) fn measure(&mut self) {
+        if let Plan::Engine(whole) = &mut self.plan {
+            whole.measure();
+        }
+    }
+
+    /// Times of the layers in all runs since [`Network::measure`]; none where tract runs the network.
+    pub(crate) fn times(&self) -> Vec<LayerTime> {
+        match &self.plan {
+            Plan::Engine(whole) => whole.times(),
+            Plan::Tract { .. } => Vec::new(),
+        }
+    }
+
+    /// Runs the network on its input. The threads that ran it are free to go on with its outputs; none where tract did.
+    pub(crate) fn run(&mut self) -> Result<(Outputs<'_>, Option<Threads<'_>>), Error> {
         let values = match &mut self.plan {
-            Plan::Tract { plan, input } => {
-                guarded(|| plan.run(tvec!(input.clone().into_tvalue()))).map(Values::Tract)
-            }
+            Plan::Tract { plan, input } => guarded(|| plan.run(tvec!(input.clone().into_tvalue())))
+                .map(|values| (Values::Tract(values), None)),
             Plan::Engine(whole) => guarded(|| Ok(whole.run()))
                 .and_then(|ran| ran)
-                .map(|()| Values::Engine(whole)),
+                .map(|(results, threads)| (Values::Engine(results), Some(threads))),
         };
-        Ok(Outputs {
+        let (values, threads) = values.map_err(|reason| Error::Model {
+            path: self.path.clone(),
+            reason,
+        })?;
+        let outputs = Outputs {
             path: &self.path,
             order: &self.outputs,
-            values: values.map_err(|reason| Error::Model {
-                path: self.path.clone(),
-                reason,
-            })?,
-        })
+            values,
+        };
+        Ok((outputs, threads))
     }
 }
 
@@ -350,7 +374,7 @@ pub(crate) struct Outputs<'a> {
 
 enum Values<'a> {
     Tract(TVec<TValue>),
-    Engine(&'a Whole),
+    Engine(&'a Results),
 }
 
 impl Outputs<'_> {
@@ -366,7 +390,7 @@ impl Outputs<'_> {
     pub(crate) fn head(&self, index: usize) -> Result<(&[f32], [usize; 3]), Error> {
         let value = match &self.values {
             Values::Tract(values) => &values[self.order[index]],
-            Values::Engine(whole) => return Ok(whole.output(self.order[index])),
+            Values::Engine(results) => return Ok(results.output(self.order[index])),
         };
         let &[1, channels, height, width] = value.shape() else {
             return Err(self.unfit(format!(
@@ -426,7 +450,7 @@ mod tests {
         network
             .fill_input(|entrance| entrance.write_planes(&input))
             .expect("filled");
-        let values = network.run().expect("outputs");
+        let (values, _) = network.run().expect("outputs");
         let compare = |(index, output): (usize, &&str)| {
             let (ours, _) = values.head(index).expect("a head");
             let theirs = tensor(&golden.join(format!("{output}.pb")));

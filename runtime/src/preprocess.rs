@@ -9,7 +9,7 @@ use crate::contract::{Channel, Contract, Fit, GroundChannel};
 use crate::engine::Entrance;
 use crate::model::{Model, Size};
 use crate::resample::{Resampler, Scratch};
-use crate::vectors::widest;
+use crate::vectors::{Loops, widest};
 
 /// A picture: RGB, 8 bits, row by row from the top left, without padding.
 #[derive(Clone, Copy, Debug)]
@@ -259,7 +259,31 @@ impl Preprocessor {
         let mut scratch = self.scratch[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        widest(|| self.resampler.row(picture.rgb, y, &mut scratch, put));
+        widest(ResampledRow {
+            resampler: &self.resampler,
+            rgb: picture.rgb,
+            y,
+            scratch: &mut scratch,
+            put,
+        });
+    }
+}
+
+/// A row to resample.
+struct ResampledRow<'a, P> {
+    resampler: &'a Resampler,
+    rgb: &'a [u8],
+    y: usize,
+    scratch: &'a mut Scratch,
+    put: P,
+}
+
+impl<P: FnMut(usize, [u8; 3])> Loops for ResampledRow<'_, P> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.resampler.row(self.rgb, self.y, self.scratch, self.put);
     }
 }
 
@@ -524,7 +548,7 @@ mod tests {
         let outputs = ["residual", "attention", "slope"];
         let mut network = Network::new(&model, placement.network, &outputs).expect("a network");
         let heads = |network: &mut Network| -> Vec<f32> {
-            let values = network.run().expect("outputs");
+            let (values, _) = network.run().expect("outputs");
             let head = |index| values.head(index).expect("a head").0.to_vec();
             [0, 1, 2].map(head).concat()
         };

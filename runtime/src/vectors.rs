@@ -1,14 +1,25 @@
-//! Core's loops, compiled for the vectors that this CPU has. Core itself has no `unsafe` and no run-time detection.
+//! Loops of plain Rust, compiled for the vectors that this CPU has: core's, which has no `unsafe` and no run-time
+//! detection, and preprocessing's.
 
-/// Calls `work` from a function that may use the CPU's widest common vectors; what is inlined into it may too.
-/// The result does not depend on the width: core's fusion promises the same bytes.
+/// Work with loops in it that gain from wider vectors.
+pub(crate) trait Loops {
+    /// What it gives.
+    type Output;
+
+    /// Does it. To be `#[inline(always)]`, as all that it calls: what is not inlined into [`widest`] is compiled for
+    /// the narrow vectors of the baseline. (That is why this is no closure: nothing makes those inline.)
+    fn run(self) -> Self::Output;
+}
+
+/// Runs `work` from a function that may use the CPU's widest common vectors. The result does not depend on the width:
+/// the loops hold only integers, or plain additions and multiplications of f32 in a fixed order.
 #[inline(always)]
-pub(crate) fn widest<R>(work: impl FnOnce() -> R) -> R {
+pub(crate) fn widest<L: Loops>(work: L) -> L::Output {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2")]
-        fn avx2<R>(work: impl FnOnce() -> R) -> R {
-            work()
+        fn avx2<L: Loops>(work: L) -> L::Output {
+            work.run()
         }
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the only condition on calling `avx2` is that the CPU has it, which was just asked.
@@ -16,5 +27,5 @@ pub(crate) fn widest<R>(work: impl FnOnce() -> R) -> R {
         }
     }
     // On aarch64 NEON is part of the baseline.
-    work()
+    work.run()
 }

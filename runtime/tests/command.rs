@@ -403,6 +403,18 @@ fn wrong_calls_are_refused() {
 }
 
 #[test]
+fn threads_stay_on_cores_that_there_are() {
+    let folder = Folder::new();
+    let (picture, calibration) = (scene().join("image.png"), scene().join("calibration.json"));
+    for cores in ["1023", "70000"] {
+        let output = run(&picture, &calibration, &["--cores", cores], &folder.out());
+        assert_refused(&output, 2, &["cores", cores], &folder.out());
+    }
+    let output = run(&picture, &calibration, &["--cores", "0"], &folder.out());
+    assert!(output.status.success());
+}
+
+#[test]
 fn bench_measures_every_stage() {
     let bench = |more: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_gedepth"))
@@ -418,8 +430,16 @@ fn bench_measures_every_stage() {
         assert!(output.status.success(), "{message}");
         String::from_utf8(output.stdout).unwrap()
     };
-    let table = bench(&["--runs", "3"]);
-    for word in ["320 x 96", "preprocess", "network", "fusion", "all", "p99"] {
+    let table = bench(&["--runs", "3", "--profile"]);
+    for word in [
+        "320 x 96",
+        "preprocess",
+        "network",
+        "fusion",
+        "all",
+        "p99",
+        "depthwise 3x3",
+    ] {
         assert!(table.contains(word), "{table}");
     }
     let raw = bench(&["--runs", "3", "--raw"]);

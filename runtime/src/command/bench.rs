@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use clap::Args;
-use gedepth::{Error, OutputSize, Picture, StageTimes};
+use gedepth::{Error, LayerTime, OutputSize, Picture, StageTimes};
 
 use super::inputs::Inputs;
 
@@ -24,6 +24,9 @@ pub(crate) struct Arguments {
     /// Print microseconds of preprocessing, network and fusion of every run instead
     #[arg(long)]
     raw: bool,
+    /// Print how long each layer of the network takes, too
+    #[arg(long, conflicts_with = "raw")]
+    profile: bool,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
@@ -33,6 +36,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     };
     let mut opened = arguments.inputs.open(output)?;
     let picture = Picture::from(&opened.image);
+    if arguments.profile {
+        opened.estimator.measure_layers();
+    }
     let times = (0..arguments.runs)
         .map(|_| {
             let StageTimes {
@@ -63,7 +69,32 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         print(name, times.iter().map(|run| run[stage]));
     }
     print("all", times.iter().map(|run| run.iter().sum()));
+    if arguments.profile {
+        print_layers(&opened.estimator.layer_times(), arguments.runs);
+    }
     Ok(())
+}
+
+/// Mean times of the layers, and their throughput.
+fn print_layers(layers: &[LayerTime], runs: u32) {
+    println!(
+        "\n{:>8} {:>7} {:>7}  {:<18} {:>14}  output",
+        "us", "MMAC", "GMAC/s", "operation", "shape"
+    );
+    for layer in layers {
+        let seconds = layer.time.as_secs_f64() / f64::from(runs);
+        let multiply_adds = layer.multiply_adds as f64;
+        let [channels, height, width] = layer.shape;
+        println!(
+            "{:>8.1} {:>7.1} {:>7.1}  {:<18} {:>14}  {}",
+            seconds * 1e6,
+            multiply_adds / 1e6,
+            multiply_adds / seconds.max(1e-9) / 1e9,
+            layer.operation,
+            format!("{channels}x{height}x{width}"),
+            layer.output,
+        );
+    }
 }
 
 fn milliseconds(time: Duration) -> f64 {

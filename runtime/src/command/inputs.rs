@@ -26,6 +26,12 @@ pub(crate) struct Inputs {
     /// Number of threads that run the quantized layers [default: 2, or 1 on one core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: Option<u8>,
+    /// Keep each of these threads on one core: numbers of cores, separated by commas
+    #[arg(long, value_name = "CORES", value_delimiter = ',')]
+    cores: Vec<usize>,
+    /// Let tract run everything, to compare
+    #[arg(long, conflicts_with_all = ["threads", "cores"])]
+    tract: bool,
 }
 
 /// The inputs, read, and an estimator for them.
@@ -51,6 +57,7 @@ impl Inputs {
             None => Model::embedded()?,
         };
         let model = match (self.threads, Engine::default()) {
+            _ if self.tract => model.with_engine(Engine::Tract),
             (Some(threads), Engine::Quantized { kernel, .. }) => {
                 model.with_engine(Engine::Quantized {
                     kernel,
@@ -60,7 +67,10 @@ impl Inputs {
             _ => model,
         };
         let size = Picture::from(&image).size();
-        let estimator = Estimator::new(&model, &calibration, size, self.network_size, output)?;
+        let mut estimator = Estimator::new(&model, &calibration, size, self.network_size, output)?;
+        if !self.cores.is_empty() {
+            estimator.pin_threads(&self.cores)?;
+        }
         Ok(Opened {
             image,
             model,

@@ -16,6 +16,7 @@ mod kernels;
 mod layer;
 mod operator;
 mod pixels;
+mod profile;
 mod qlinear;
 mod recognize;
 mod schedule;
@@ -27,8 +28,9 @@ use tract_onnx::pb::ModelProto;
 
 pub use kernels::Kernel;
 pub(crate) use operator::register;
+pub use profile::LayerTime;
 pub(crate) use qlinear::to_qdq;
-pub(crate) use whole::{Entrance, Whole};
+pub(crate) use whole::{Entrance, Results, Threads, Whole};
 
 /// How a model's quantized layers are run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,21 +5,24 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use super::arena::{Arena, Shared};
 use super::expression::{Binary, Expression};
 use super::island::Island;
 use super::kernels::{
-    Addition, Dense, Depthwise, Halves, Kernel, Row, ToBytes, average_row, channel_row, concat_row,
+    Addition, Dense, Depthwise, Halves, Kernel, Part, Row, ToBytes, average_row, channel_row,
     copy_row, dequantize_row, flatten, max_row, multiply_row, pad_row, quantize_row, resize_row,
-    store_channel, table_row,
+    store_channel,
 };
 use super::layer::{
     Between, Convolution, Fill, Form, Layer, Operand, Operation, Placed, Quantization, Shape,
     Window,
 };
-use super::threads::{Member, Team};
+use super::profile::{LayerTime, Times};
+use super::threads::{Member, Team, stay_on};
 
 /// Widest convolution that shares one block with its siblings.
 const SIBLING_LANES: usize = 16;
@@ -216,6 +219,10 @@ pub(crate) struct Schedule {
     /// f32 tensors that do not leave the island.
     floats: Vec<f32>,
     team: Team,
+    /// What each step is.
+    layers: Vec<LayerTime>,
+    /// Where somebody measures.
+    times: Option<Times>,
     /// A row of f32 for each member.
     scratch: Vec<Mutex<Vec<f32>>>,
     inputs: Vec<Shape>,
@@ -257,6 +264,9 @@ impl Schedule {
             .iter()
             .map(|siblings| step(siblings, &buffers, &planes, &shapes, kernel))
             .collect::<Result<Vec<_>, _>>()?;
+        let layer =
+            |siblings: &Vec<&Layer>| LayerTime::new(siblings, shapes[siblings[0].output.as_str()]);
+        let layers = order.iter().map(layer).collect();
         let team = Team::new(threads);
         let widest = steps.iter().map(scratch).max().unwrap_or(0);
         let scratch = (0..threads.max(1))
@@ -269,6 +279,8 @@ impl Schedule {
             arena: Arena::new(arena),
             floats: vec![0.0; floats],
             team,
+            layers,
+            times: None,
             scratch,
             inputs: inputs.to_vec(),
             outputs,
@@ -285,9 +297,47 @@ impl Schedule {
         self.entrance.map(|(_, quantization)| quantization)
     }
 
+    /// Runs `job(thread)` once on every thread, 0 the caller's.
+    pub(crate) fn share(&mut self, job: &(dyn Fn(usize) + Sync)) -> Result<(), String> {
+        let whole = self.team.run(&|member: &Member<'_>| job(member.number));
+        whole.then_some(()).ok_or_else(panicked)
+    }
+
+    /// Keeps each thread on one of `cores`, in order, the caller's on the first.
+    pub(crate) fn pin(&mut self, cores: &[usize]) -> Result<(), String> {
+        let refused = AtomicBool::new(false);
+        self.share(&|thread| {
+            let core = cores.get(thread % cores.len().max(1));
+            if core.is_some_and(|&core| !stay_on(core)) {
+                refused.store(true, SeqCst);
+            }
+        })?;
+        match refused.into_inner() {
+            true => Err("the system refuses; give cores that this process may use".to_owned()),
+            false => Ok(()),
+        }
+    }
+
+    /// From now on measures how long each step takes.
+    pub(crate) fn measure(&mut self) {
+        self.times = Some(Times::new(self.steps.len()));
+    }
+
+    /// Times of the steps in all runs since [`Schedule::measure`].
+    pub(crate) fn times(&self) -> Vec<LayerTime> {
+        let time = |(number, layer): (usize, &LayerTime)| LayerTime {
+            time: self
+                .times
+                .as_ref()
+                .map_or(Duration::ZERO, |times| times.of(number)),
+            ..layer.clone()
+        };
+        self.layers.iter().enumerate().map(time).collect()
+    }
+
     /// Number of threads that run it.
     pub(crate) fn members(&self) -> usize {
-        self.scratch.len()
+        self.team.members()
     }
 
     /// Writes the only input's bytes, four a pixel: `row(member, y, bytes)` for each of its rows.
@@ -333,11 +383,18 @@ impl Schedule {
             inputs,
             outputs,
         };
+        let first = self.steps.len() - steps.len();
+        let times = self.times.as_ref();
         let whole = self.team.run(&|member: &Member<'_>| {
-            for step in steps {
+            let times = times.filter(|_| member.number == 0);
+            let mut since = times.map(|_| Instant::now());
+            for (number, step) in steps.iter().enumerate() {
                 run.step(step, member);
                 if !member.wait() {
                     return;
+                }
+                if let (Some(times), Some(since)) = (times, &mut since) {
+                    *since = times.add(first + number, *since);
                 }
             }
         });
@@ -1207,18 +1264,25 @@ impl Run<'_> {
                     store_channel(values, channel, buffer.pitch, *quantization, out);
                 }
             }
-            Work::Table(table) => table_row(table, input(0), out),
+            Work::Table(table) => {
+                let part = Part {
+                    pixels: buffer.width,
+                    channels: buffer.pitch,
+                    pitches: [buffer.pitch; 2],
+                    first: 0,
+                };
+                kernel.place(table, part, input(0), out);
+            }
             Work::Concat(tables) => {
                 let mut first = 0;
                 for (number, (table, read)) in tables.iter().zip(&step.reads).enumerate() {
-                    concat_row(
-                        table,
-                        input(number),
-                        read.channels,
-                        [read.pitch, buffer.pitch],
+                    let part = Part {
+                        pixels: buffer.width,
+                        channels: read.channels,
+                        pitches: [read.pitch, buffer.pitch],
                         first,
-                        out,
-                    );
+                    };
+                    kernel.place(table, part, input(number), out);
                     first += read.channels;
                 }
             }

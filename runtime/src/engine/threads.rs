@@ -14,6 +14,12 @@ const SPINS: usize = 2000;
 
 type Job<'a> = dyn Fn(&Member<'_>) + Sync + 'a;
 
+/// Keeps the calling thread on one core, from now on; false where the system refuses.
+pub(super) fn stay_on(core: usize) -> bool {
+    // Beyond what Linux's cpu_set_t holds core_affinity panics.
+    core < 1024 && core_affinity::set_for_current(core_affinity::CoreId { id: core })
+}
+
 /// One thread's part in a job.
 #[derive(Debug)]
 pub(crate) struct Member<'a> {
@@ -158,6 +164,11 @@ impl Team {
         // A system that refuses threads: do with this one. Those that were created find the meeting broken and leave.
         team.meeting.barrier.break_up();
         spawn(1)
+    }
+
+    /// How many there are.
+    pub(crate) fn members(&self) -> usize {
+        self.meeting.barrier.members
     }
 
     /// Runs `job` once on every member. False: a member panicked; the team is then of no further use.

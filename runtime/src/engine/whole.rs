@@ -8,6 +8,7 @@ use super::island::ISLAND;
 use super::layer::Shape;
 use super::operator::read;
 use super::pixels::{PixelRow, Pixels};
+use super::profile::LayerTime;
 use super::schedule::{Inputs, Schedule};
 
 /// Such a network, planned, and the outputs of its last run.
@@ -15,10 +16,39 @@ use super::schedule::{Inputs, Schedule};
 pub(crate) struct Whole {
     schedule: Schedule,
     input: Input,
+    results: Results,
+}
+
+/// The outputs of the last run.
+#[derive(Debug)]
+pub(crate) struct Results {
     /// Of the island, planar.
     outputs: Vec<(Shape, Vec<f32>)>,
     /// Where each output of the graph is among them.
     order: Vec<usize>,
+}
+
+impl Results {
+    /// An output of the graph, planar, and its shape.
+    pub(crate) fn output(&self, index: usize) -> (&[f32], Shape) {
+        let (shape, values) = &self.outputs[self.order[index]];
+        (values, *shape)
+    }
+}
+
+/// The threads that ran a [`Whole`], for what comes after it.
+pub(crate) struct Threads<'a>(&'a mut Schedule);
+
+impl Threads<'_> {
+    /// How many there are.
+    pub(crate) fn count(&self) -> usize {
+        self.0.members()
+    }
+
+    /// Runs `job(thread)` once on each.
+    pub(crate) fn share(&mut self, job: &(dyn Fn(usize) + Sync)) -> Result<(), String> {
+        self.0.share(job)
+    }
 }
 
 /// What a [`Whole`] reads.
@@ -108,8 +138,7 @@ impl Whole {
         Some(Self {
             schedule,
             input,
-            outputs,
-            order,
+            results: Results { outputs, order },
         })
     }
 
@@ -124,23 +153,35 @@ impl Whole {
         }
     }
 
+    /// Keeps each thread on one of `cores`, in order, the caller's on the first.
+    pub(crate) fn pin(&mut self, cores: &[usize]) -> Result<(), String> {
+        self.schedule.pin(cores)
+    }
+
+    /// From now on measures how long each layer takes.
+    pub(crate) fn measure(&mut self) {
+        self.schedule.measure();
+    }
+
+    /// Times of the layers in all runs since [`Whole::measure`].
+    pub(crate) fn times(&self) -> Vec<LayerTime> {
+        self.schedule.times()
+    }
+
     /// Runs it on what was written. Up to four outputs it allocates nothing.
-    pub(crate) fn run(&mut self) -> Result<(), String> {
+    pub(crate) fn run(&mut self) -> Result<(&Results, Threads<'_>), String> {
         let mut outputs: TVec<Shared<'_, f32>> = tvec!();
         outputs.extend(
-            self.outputs
+            self.results
+                .outputs
                 .iter_mut()
                 .map(|(_, values)| Shared::new(values)),
         );
         match &self.input {
-            Input::Planes(planes) => self.schedule.run(Inputs::Planes(&[planes]), &outputs),
-            Input::Pixels(_) => self.schedule.run(Inputs::Entered, &outputs),
+            Input::Planes(planes) => self.schedule.run(Inputs::Planes(&[planes]), &outputs)?,
+            Input::Pixels(_) => self.schedule.run(Inputs::Entered, &outputs)?,
         }
-    }
-
-    /// An output of the graph, planar, and its shape.
-    pub(crate) fn output(&self, index: usize) -> (&[f32], Shape) {
-        let (shape, values) = &self.outputs[self.order[index]];
-        (values, *shape)
+        drop(outputs);
+        Ok((&self.results, Threads(&mut self.schedule)))
     }
 }

@@ -7,7 +7,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, avx2, portable};
+use super::{Addition, BLOCK, Dense, Depthwise, Part, Row, ToBytes, avx2, portable};
 
 /// Channels that the depthwise kernel takes at a time.
 const WIDE: usize = 64;
@@ -577,4 +577,30 @@ pub(super) unsafe fn quantize_four(planes: &[&[f32]], scale: f32, zero: u8, out:
         *rest = &plane[whole / 4..];
     }
     portable::quantize_four(&rest[..planes.len()], scale, zero, &mut out[whole..]);
+}
+
+/// Bytes of `input`'s pixels through a table: as [`portable::place_row`].
+///
+/// # Safety
+/// The processor has AVX-512 F, BW and VBMI; `part` passed its check with these slices.
+#[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
+pub(super) unsafe fn place_row(table: &[u8; 256], part: Part, input: &[u8], out: &mut [u8]) {
+    // SAFETY: a fourth of the table each.
+    let table =
+        [0, 64, 128, 192].map(|at| unsafe { _mm512_loadu_si512(table.as_ptr().add(at).cast()) });
+    for pixel in 0..part.pixels {
+        for channel in (0..part.channels).step_by(WIDE) {
+            let mask = u64::MAX >> (WIDE - WIDE.min(part.channels - channel));
+            // SAFETY: this pixel's channels, as the caller checked; bytes that are masked out are not touched.
+            unsafe {
+                let at = input.as_ptr().add(pixel * part.pitches[0] + channel);
+                let bytes = _mm512_maskz_loadu_epi8(mask, at.cast());
+                let low = _mm512_permutex2var_epi8(table[0], bytes, table[1]);
+                let high = _mm512_permutex2var_epi8(table[2], bytes, table[3]);
+                let bytes = _mm512_mask_blend_epi8(_mm512_movepi8_mask(bytes), low, high);
+                let at = pixel * part.pitches[1] + part.first + channel;
+                _mm512_mask_storeu_epi8(out.as_mut_ptr().add(at).cast(), mask, bytes);
+            }
+        }
+    }
 }

@@ -30,8 +30,8 @@ use avx512vnni::Interleaved;
 #[cfg(target_arch = "aarch64")]
 use neon::depthwise::Interleaved;
 pub(crate) use portable::{
-    Halves, average_row, channel_row, concat_row, copy_row, dequantize_row, flatten, max_row,
-    multiply_row, pad_row, quantize_row, resize_row, store_channel, table_row,
+    Halves, average_row, channel_row, copy_row, dequantize_row, flatten, max_row, multiply_row,
+    pad_row, quantize_row, resize_row, store_channel,
 };
 
 /// Lanes of a block of output channels.
@@ -327,6 +327,19 @@ pub(crate) struct Addition {
     pub(crate) to: ToBytes,
 }
 
+/// Channels of a row of pixels, and where they go in another.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Part {
+    /// Pixels of the row.
+    pub(crate) pixels: usize,
+    /// Channels of the input, all of which go.
+    pub(crate) channels: usize,
+    /// Bytes of a pixel of input and of output.
+    pub(crate) pitches: [usize; 2],
+    /// Where in an output pixel they go.
+    pub(crate) first: usize,
+}
+
 macro_rules! dispatch {
     ($kernel:expr, $function:ident($($argument:expr),*)) => {
         match $kernel {
@@ -405,6 +418,19 @@ impl Kernel {
     pub(crate) fn add(self, addition: &Addition, one: &[u8], other: &[u8], out: &mut [u8]) {
         assert!(one.len() == out.len() && other.len() == out.len());
         dispatch!(self, add(addition, one, other, out));
+    }
+
+    /// Puts the bytes of a row's channels where `part` says, through a table.
+    pub(crate) fn place(self, table: &[u8; 256], part: Part, input: &[u8], out: &mut [u8]) {
+        assert!(part.channels <= part.pitches[0] && part.first + part.channels <= part.pitches[1]);
+        assert!(part.pixels * part.pitches[0] == input.len());
+        assert!(part.pixels * part.pitches[1] == out.len());
+        #[cfg(target_arch = "x86_64")]
+        if self == Kernel::Avx512Vnni && std::arch::is_x86_feature_detected!("avx512vbmi") {
+            // SAFETY: the processor has VBMI, and the other two as an engine with this kernel was built; checked above.
+            return unsafe { avx512vnni::place_row(table, part, input, out) };
+        }
+        portable::place_row(table, part, input, out);
     }
 
     /// A row of up to four planes of f32 as pixels of four bytes.

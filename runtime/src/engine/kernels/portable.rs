@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes};
+use super::{Addition, BLOCK, Dense, Depthwise, Part, Row, ToBytes};
 use crate::engine::layer::{Between, Quantization, saturate};
 
 /// Accumulators of one block of one pixel.
@@ -218,7 +218,7 @@ pub(crate) fn flatten(
 }
 
 /// A function of every byte.
-pub(crate) fn table_row(table: &[u8; 256], input: &[u8], out: &mut [u8]) {
+fn table_row(table: &[u8; 256], input: &[u8], out: &mut [u8]) {
     for (out, &byte) in out.iter_mut().zip(input) {
         *out = table[usize::from(byte)];
     }
@@ -240,20 +240,11 @@ pub(crate) fn multiply_row(
     }
 }
 
-/// Puts a row's channels at `first` of each pixel of `out`, through a table.
-pub(crate) fn concat_row(
-    table: &[u8; 256],
-    input: &[u8],
-    channels: usize,
-    pitches: [usize; 2],
-    first: usize,
-    out: &mut [u8],
-) {
-    for (pixel, out) in input
-        .chunks_exact(pitches[0])
-        .zip(out.chunks_exact_mut(pitches[1]))
-    {
-        table_row(table, &pixel[..channels], &mut out[first..][..channels]);
+/// Puts channels where `part` says, through a table.
+pub(super) fn place_row(table: &[u8; 256], part: Part, input: &[u8], out: &mut [u8]) {
+    let pixels = input.chunks_exact(part.pitches[0]);
+    for (pixel, out) in pixels.zip(out.chunks_exact_mut(part.pitches[1])) {
+        table_row(table, pixel, &mut out[part.first..][..part.channels]);
     }
 }
 

@@ -1,0 +1,99 @@
+//! How long each layer takes, for whoever asks.
+
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::time::{Duration, Instant};
+
+use super::layer::{Convolution, Layer, Operation, Shape};
+
+/// One layer, or several that run as one, and how long it took.
+#[derive(Clone, Debug)]
+pub struct LayerTime {
+    /// Name of the tensor that it writes.
+    pub output: String,
+    /// What it does, with kernel and stride.
+    pub operation: String,
+    /// Channels, height and width of its output.
+    pub shape: [usize; 3],
+    /// Multiply-adds of its weights, padding not counted.
+    pub multiply_adds: u64,
+    /// Time until all threads were done with it, summed over the runs measured.
+    pub time: Duration,
+}
+
+impl LayerTime {
+    pub(super) fn new(siblings: &[&Layer], shape: Shape) -> Self {
+        let layer = siblings[0];
+        let pixels = (shape[1] * shape[2]) as u64;
+        let weights = |layer: &&Layer| match &layer.operation {
+            Operation::Convolution(convolution) => convolution.weights.len() as u64,
+            _ => 0,
+        };
+        Self {
+            output: layer.output.clone(),
+            operation: describe(&layer.operation),
+            shape: [
+                siblings.iter().map(channels).sum::<usize>().max(shape[0]),
+                shape[1],
+                shape[2],
+            ],
+            multiply_adds: siblings.iter().map(weights).sum::<u64>() * pixels,
+            time: Duration::ZERO,
+        }
+    }
+}
+
+fn channels(layer: &&Layer) -> usize {
+    match &layer.operation {
+        Operation::Convolution(convolution) => convolution.outputs,
+        _ => 0,
+    }
+}
+
+fn describe(operation: &Operation) -> String {
+    let name = match operation {
+        Operation::Quantize => "quantize",
+        Operation::Dequantize => "dequantize",
+        Operation::Convolution(Convolution {
+            depthwise, window, ..
+        }) => {
+            let name = if *depthwise {
+                "depthwise"
+            } else {
+                "convolution"
+            };
+            let ([rows, columns], stride) = (window.kernel, window.strides[0]);
+            return format!("{name} {rows}x{columns} / {stride}");
+        }
+        Operation::Add => "add",
+        Operation::Multiply => "multiply",
+        Operation::Concat => "concat",
+        Operation::Pad(_) => "pad",
+        Operation::Flatten => "flatten",
+        Operation::Elementwise(_) => "elementwise",
+        Operation::Table(_) => "table",
+        Operation::Resize(_) => "resize",
+        Operation::MaxPool(_) => "max pool",
+        Operation::AveragePool(..) | Operation::GlobalAveragePool => "average pool",
+    };
+    name.to_owned()
+}
+
+/// Nanoseconds of each step.
+#[derive(Debug)]
+pub(super) struct Times(Vec<AtomicU64>);
+
+impl Times {
+    pub(super) fn new(steps: usize) -> Self {
+        Self((0..steps).map(|_| AtomicU64::new(0)).collect())
+    }
+
+    pub(super) fn add(&self, step: usize, since: Instant) -> Instant {
+        let now = Instant::now();
+        self.0[step].fetch_add((now - since).as_nanos() as u64, Relaxed);
+        now
+    }
+
+    pub(super) fn of(&self, step: usize) -> Duration {
+        Duration::from_nanos(self.0[step].load(Relaxed))
+    }
+}

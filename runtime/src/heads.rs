@@ -1,0 +1,173 @@
+//! From a network's heads to depth: core's fusion, a stripe of rows on every thread.
+
+use std::sync::{Mutex, PoisonError};
+
+use gedepth_core::camera::ImageSize;
+use gedepth_core::fusion::{
+    AttentionHead, DecodeAt, FusedMaps, Fusion, HeadMap, ResidualHead, Samples, SlopeHead,
+    scratch_len,
+};
+use gedepth_core::table::{GroundRows, GroundView};
+
+use crate::Error;
+use crate::contract::Contract;
+use crate::engine::Threads;
+use crate::model::Outputs;
+use crate::vectors::{Loops, widest};
+
+/// Most threads that fuse together.
+const MOST_STRIPES: usize = 16;
+
+/// The outputs that fusion reads, in the order in which [`Heads::new`] does.
+pub(crate) fn outputs(contract: &Contract) -> Vec<&str> {
+    let attention = contract.attention.as_ref().map(|a| a.output.as_str());
+    let slope = contract.slope.as_ref().map(|s| s.output.as_str());
+    [Some(contract.residual.as_str()), attention, slope]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// The heads of one run.
+#[derive(Clone, Copy)]
+struct Heads<'a> {
+    residual: ResidualHead<'a>,
+    attention: Option<AttentionHead<'a>>,
+    slope: Option<SlopeHead<'a>>,
+}
+
+impl<'a> Heads<'a> {
+    fn new(contract: &'a Contract, outputs: &'a Outputs<'_>) -> Result<Self, Error> {
+        let map = |index| {
+            let (values, [channels, height, width]) = outputs.head(index)?;
+            let side = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
+            ImageSize::new(side(width), side(height))
+                .and_then(|size| HeadMap::new(Samples::F32(values), channels, size))
+                .map_err(|e| outputs.unfit(e))
+        };
+        let attention = |attention: &crate::contract::Attention| {
+            Ok(AttentionHead {
+                map: map(1)?,
+                unit: attention.unit,
+                decode_at: DecodeAt::HeadSize,
+            })
+        };
+        let slope = |slope: &'a crate::contract::Slope| {
+            Ok(SlopeHead {
+                map: map(2)?,
+                classes: &slope.classes,
+                decode_at: slope.decode_at,
+            })
+        };
+        Ok(Self {
+            residual: ResidualHead {
+                map: map(0)?,
+                unit: contract.residual_unit,
+                decode_at: DecodeAt::HeadSize,
+            },
+            attention: contract.attention.as_ref().map(attention).transpose()?,
+            slope: contract.slope.as_ref().map(slope).transpose()?,
+        })
+    }
+
+    /// Scratch values that fusing them takes.
+    fn scratch_len(&self, output: ImageSize) -> usize {
+        let classes = self.slope.map_or(0, |slope| slope.classes.radians().len());
+        scratch_len(output, self.residual.map.size().width(), classes)
+    }
+}
+
+/// Rows of the output that one thread makes.
+struct Stripe<'a> {
+    fusion: Fusion,
+    heads: Heads<'a>,
+    ground: &'a GroundView<'a>,
+    scratch: &'a mut [f32],
+    maps: FusedMaps<'a>,
+}
+
+impl Loops for Stripe<'_> {
+    type Output = Result<(), gedepth_core::Error>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self {
+            fusion,
+            ground,
+            scratch,
+            maps,
+            ..
+        } = self;
+        let Heads {
+            residual,
+            attention,
+            slope,
+        } = &self.heads;
+        match (attention, slope) {
+            (None, _) => fusion.baseline(ground.size(), residual, scratch, maps.depth),
+            (Some(attention), None) => fusion.vanilla(ground, residual, attention, scratch, maps),
+            (Some(attention), Some(slope)) => {
+                fusion.adaptive(ground, residual, attention, slope, scratch, maps)
+            }
+        }
+    }
+}
+
+/// The first `values` of a map, which keeps the others.
+fn take<'a>(map: &mut &'a mut [f32], values: usize) -> &'a mut [f32] {
+    map.split_off_mut(..values).unwrap_or_default()
+}
+
+/// Fuses the outputs of a run into `maps`, on the threads that ran the network where they are given. After the first
+/// time it allocates nothing, so long as `scratch` is the same.
+pub(crate) fn fuse(
+    contract: &Contract,
+    fusion: &Fusion,
+    (outputs, threads): (&Outputs<'_>, Option<Threads<'_>>),
+    ground: &GroundView<'_>,
+    scratch: &mut Vec<Vec<f32>>,
+    mut maps: FusedMaps<'_>,
+) -> Result<(), Error> {
+    let heads = Heads::new(contract, outputs)?;
+    let size = ground.size();
+    let count = threads
+        .as_ref()
+        .map_or(1, Threads::count)
+        .clamp(1, MOST_STRIPES) as u32;
+    scratch.resize_with(count as usize, Vec::new);
+    let mut stripes = [const { Mutex::new(None) }; MOST_STRIPES];
+    for ((number, stripe), scratch) in (0..count).zip(&mut stripes).zip(scratch) {
+        scratch.resize(heads.scratch_len(size), 0.0);
+        let rows = size.height() * number / count..size.height() * (number + 1) / count;
+        let values = rows.len() * size.width() as usize;
+        *stripe = Mutex::new(Some(Stripe {
+            fusion: fusion.rows(rows),
+            heads,
+            ground,
+            scratch,
+            maps: FusedMaps {
+                depth: take(&mut maps.depth, values),
+                attention: maps.attention.as_mut().map(|map| take(map, values)),
+                ground: maps.ground.as_mut().map(|map| take(map, values)),
+            },
+        }));
+    }
+    let failed = Mutex::new(None);
+    let job = |thread: usize| {
+        let stripe = stripes.get(thread).and_then(|stripe| {
+            let mut stripe = stripe.lock().unwrap_or_else(PoisonError::into_inner);
+            stripe.take()
+        });
+        if let Some(Err(e)) = stripe.map(widest) {
+            *failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(e);
+        }
+    };
+    match threads {
+        Some(mut threads) => threads
+            .share(&job)
+            .map_err(|reason| outputs.unfit(reason))?,
+        None => job(0),
+    }
+    let failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
+    failed.map_or(Ok(()), |e| Err(outputs.unfit(e)))
+}
