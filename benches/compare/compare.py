@@ -25,7 +25,7 @@ import time
 
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-BURST = 25
+BURST = 40
 WARM_UP = 5
 
 
@@ -109,7 +109,7 @@ def gedepth(program, path, size, threads):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--gedepth", default=ROOT / "target/release/gedepth", type=pathlib.Path)
-    parser.add_argument("--rounds", default=8, type=int, help=f"bursts of {BURST} runs of each engine")
+    parser.add_argument("--rounds", default=5, type=int, help=f"bursts of {BURST} runs of each engine")
     parser.add_argument("--environment", default=pathlib.Path.home() / ".cache/gedepth-compare", type=pathlib.Path)
     arguments = parser.parse_args()
     enter_environment(arguments.environment)
@@ -132,18 +132,17 @@ def main():
              {form: folder / f"unet-{form}.onnx" for form in ["int8", "f32"]}, (1216, 352)),
         ]
         print(f"{cpu()}, {os.cpu_count()} cores, {datetime.date.today()}, OpenVINO {openvino_package.__version__.split('-')[0]}, "
-              f"ONNX Runtime {onnxruntime.__version__}; milliseconds, least / median of {arguments.rounds * BURST}\n")
+              f"ONNX Runtime {onnxruntime.__version__}; milliseconds, least / median of {arguments.rounds * BURST} (tract: 5)\n")
         print("| network | engine | 1 thread | 2 threads |\n|---|---|---|---|")
         for network, files, size in networks:
-            bursts, times = {}, {}
+            bursts = {}
             for threads in [1, 2]:
                 bursts["gedepth int8", threads] = gedepth(arguments.gedepth, files["int8"], size, threads)
+                bursts["OpenVINO int8", threads] = openvino(files["int8"], size, threads)
                 for form in ["int8", "f32"]:
-                    bursts[f"OpenVINO {form}", threads] = openvino(files[form], size, threads)
                     bursts[f"ONNX Runtime {form}", threads] = onnx_runtime(files[form], size, threads)
-            # On one thread, as tract is built here; and slow, so fewer.
-            tract = gedepth(arguments.gedepth, files["int8"], size, None)
-            bursts["tract int8", 1] = lambda runs, tract=tract: tract(1)
+            # On one thread, as tract is built here; and slow, so few.
+            times = {"tract int8": {1: gedepth(arguments.gedepth, files["int8"], size, None)(5)[""]}}
             for _ in range(arguments.rounds):
                 for (engine, threads), burst in bursts.items():
                     for name, measured in burst(BURST).items():
