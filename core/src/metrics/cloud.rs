@@ -155,6 +155,8 @@ fn matches<F: Frame>(
             }
         }
     }
+    // Finite, so that infinitely far is never near.
+    let reach = (threshold * threshold).min(f64::MAX);
     let near = |point: &Point<F>, cube: [i64; 3]| {
         let bucket = bucket(cube);
         let start = ends.get(bucket).copied().unwrap_or(0) as usize;
@@ -163,22 +165,23 @@ fn matches<F: Frame>(
         found.iter().any(|index| {
             others
                 .get(*index as usize)
-                .is_some_and(|other| distance(point, other) <= threshold)
+                .is_some_and(|other| squared_distance(point, other) <= reach)
         })
     };
     let mut matched = 0;
     for point in points {
         let [x, y, z] = cube(point);
-        let around = |k: i64| k.saturating_sub(1)..=k.saturating_add(1);
+        // The own cube first: what matches mostly matches there.
+        let around = |k: i64| [k, k.saturating_sub(1), k.saturating_add(1)].into_iter();
         let hit = around(x).any(|x| around(y).any(|y| around(z).any(|z| near(point, [x, y, z]))));
         matched += u64::from(hit);
     }
     matched
 }
 
-fn distance<F: Frame>(a: &Point<F>, b: &Point<F>) -> f64 {
+fn squared_distance<F: Frame>(a: &Point<F>, b: &Point<F>) -> f64 {
     let difference: DVec3 = a.vector() - b.vector();
-    difference.length()
+    difference.length_squared()
 }
 
 /// Spreads neighbouring cubes over buckets.

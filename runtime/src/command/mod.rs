@@ -1,4 +1,4 @@
-//! The subcommands, one file each, and what they share: how outputs are written.
+//! The subcommands, one file each, and what they share: what they are given, and how outputs are written.
 
 pub(crate) mod bench;
 pub(crate) mod eval;
