@@ -6,9 +6,9 @@
 void board_write(const char *text);
 _Noreturn void board_exit(int status);
 
-/* Time in nanoseconds, which is instructions; wraps after 0.6 s. */
+/* Time in nanoseconds, which is instructions, since `before`, at most 0.67 s ago. */
 uint32_t board_clock(void);
-#define BOARD_CLOCK_MASK 0x1fffffffu
+uint32_t board_elapsed(uint32_t before);
 
 /* The program; started on the stack from stack_end up to stack_start. */
 _Noreturn void firmware(void);

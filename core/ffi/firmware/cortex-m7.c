@@ -20,7 +20,9 @@ _Noreturn void board_exit(int status) {
 /* SysTick: 24 bits, counting down, at 25 MHz. */
 #define SYST ((volatile uint32_t *)0xe000e010)
 
-uint32_t board_clock(void) { return (0xffffffu - SYST[2]) * 40; }
+uint32_t board_clock(void) { return SYST[2]; }
+
+uint32_t board_elapsed(uint32_t before) { return ((before - SYST[2]) & 0xffffffu) * 40; }
 
 static void hang(void) { board_exit(99); }
 
