@@ -60,7 +60,7 @@ fn sizes() {
         ("AttentionHead", size_of::<AttentionHead<'_>>(), 48),
         ("SlopeHead", size_of::<SlopeHead<'_>>(), 56),
         ("DepthRange", size_of::<DepthRange>(), 8),
-        ("Fusion", size_of::<Fusion>(), 16),
+        ("Fusion", size_of::<Fusion>(), 24),
         ("FusedMaps", size_of::<FusedMaps<'_>>(), 48),
         ("ReferenceFusion", size_of::<ReferenceFusion>(), 16),
         ("DepthErrors", size_of::<DepthErrors>(), 80),

@@ -425,7 +425,7 @@ fn fusion_refuses() {
         }),
         (GEDEPTH_CORE_SCRATCH_LENGTH, |s| s.scratch_len = 100),
         (GEDEPTH_CORE_OUTPUT_LENGTH, |s| s.maps.depth_len -= 1),
-        (GEDEPTH_CORE_OUTPUT_LENGTH, |s| s.maps.attention_len += 1),
+        (GEDEPTH_CORE_OUTPUT_LENGTH, |s| s.maps.attention_len -= 1),
         (GEDEPTH_CORE_OUTPUT_LENGTH, |s| s.maps.ground_len -= 1),
         (GEDEPTH_CORE_NULL_POINTER, |s| s.maps.depth = null_mut()),
         (GEDEPTH_CORE_UNUSED_NOT_ZERO, |s| {
