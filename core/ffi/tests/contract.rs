@@ -220,7 +220,7 @@ fn tables_refuse_bad_memory() {
                 GEDEPTH_CORE_TOO_LONG,
             ),
             (
-                gedepth_core_table_build(camera, v, PIXELS, v.cast()),
+                gedepth_core_table_build(camera, g.cast(), PIXELS, g),
                 GEDEPTH_CORE_OVERLAP,
             ),
             (
