@@ -99,5 +99,6 @@ mod tests {
         assert_eq!(clamp(0.5, 1.0, 2.0), 1.0);
         assert_eq!(clamp(1.5, 1.0, 2.0), 1.5);
         assert_eq!(clamp(2.5, 1.0, 2.0), 2.0);
+        assert!(clamp(-0.0, 0.0, 1.0).is_sign_positive());
     }
 }

@@ -298,6 +298,22 @@ fn a_folding_lens() {
     );
 }
 
+/// A lens out of centre folds where its tangential part points away from: at radius r there the Jacobian's determinant is
+/// (1 - 6 p r) (1 - 2 p r), and 0.001 ends the field of view.
+#[test]
+fn a_tangential_lens_folds_on_one_side() {
+    let k = Intrinsics::centred(size(), 1000.0).unwrap();
+    let p = 0.3;
+    let radius = (8.0 - (64.0 - 48.0 * 0.999_f64).sqrt()) / 24.0 / p;
+    for meridian in 0..32 {
+        let side = 2.0 * PI * f64::from(meridian) / 32.0;
+        let lens = [0.0, 0.0, -p * side.sin(), -p * side.cos(), 0.0];
+        let camera = BrownConrady::new(k, lens).unwrap();
+        let off = camera.field_of_view().radians() - radius.atan();
+        assert!(off.abs() < 1e-9, "meridian {meridian}: off by {off}");
+    }
+}
+
 /// What is behind, beside or nowhere falls on no pixel.
 #[test]
 fn outside_the_field_of_view() {
@@ -328,6 +344,7 @@ fn outside_the_field_of_view() {
     // The slope of t (1 - 0.2 t^2) is 0.01 at t = sqrt(0.99 / 0.6).
     let edge = cameras[2].field_of_view().radians();
     assert!((edge - 1.284_523_26).abs() < 1e-6);
+    assert_eq!(cameras[0].field_of_view().degrees(), 90.0);
     assert_eq!(cameras[0].as_pinhole(), Some(&k));
     assert_eq!(cameras[1].as_pinhole(), None);
 }

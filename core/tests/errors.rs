@@ -4,7 +4,11 @@
 use std::collections::BTreeMap;
 
 use gedepth_core::camera::{BrownConrady, ImageSize, Intrinsics, KannalaBrandt};
-use gedepth_core::fusion::{DepthRange, Fusion, Head, HeadMap, Samples, Upsampling};
+use gedepth_core::fusion::{
+    AttentionHead, AttentionUnit, DecodeAt, DepthRange, FusedMaps, Fusion, HeadMap,
+    ReferenceFusion, ResidualHead, ResidualUnit, Samples, SlopeHead, Upsampling,
+    reference_scratch_len, scratch_len,
+};
 use gedepth_core::metrics::{ByDistance, CloudMatches};
 use gedepth_core::slope::{SlopeClasses, SlopeSign};
 use gedepth_core::table::{
@@ -185,7 +189,7 @@ fn every_code_is_reached_and_says_what_was_wrong() {
     mounting.yaw = Angle::from_radians(f64::INFINITY);
     expect(Extrinsics::from_mounting(&mounting), 205, "inf", seen);
     // Rounded as files are, a rotation is accepted.
-    bent[0][1] = 0.0009;
+    bent[0][1] = 0.001;
     assert!(Extrinsics::world_to_camera(bent, [0.0; 3]).is_ok());
 
     let up: Direction<WorldFrame> = Direction::new(0.0, 0.0, 1.0).unwrap();
@@ -317,26 +321,58 @@ fn every_code_is_reached_and_says_what_was_wrong() {
         seen,
     );
 
-    // Reached in tests/fusion.rs and tests/golden_fusion.rs, which have the heads for it.
-    for (error, code) in [
-        (Error::HeadChannels { given: 2 }, 602),
-        (Error::HeadNotFinite(Head::Residual), 603),
-        (
-            Error::HeadSize {
-                needed: size,
-                given: size,
+    // Heads of the picture's size, of which each is spoilt in turn.
+    let values = [0.5; 24];
+    let map = |values: &'static [f32], channels| HeadMap::new(Samples::F32(values), channels, size);
+    let good = map(&[0.5; 12], 1).unwrap();
+    let double = HeadMap::new(Samples::F32(&values), 2, size).unwrap();
+    let nan = map(&[f32::NAN; 12], 1).unwrap();
+    let infinite = map(&[f32::INFINITY; 12], 1).unwrap();
+    let at = DecodeAt::HeadSize;
+    let fuse = |residual, attention, slope| {
+        let mut depth = [0.0; 12];
+        let mut scratch = vec![0.0; scratch_len(size, 4, 1)];
+        Fusion::new(Upsampling::HalfPixel, range, 100.0)?.adaptive(
+            &coefficients,
+            &ResidualHead {
+                map: residual,
+                unit: ResidualUnit::Metres,
+                decode_at: at,
             },
-            609,
-        ),
-    ] {
-        assert_eq!(error.code(), code);
-        all.insert(code, error.to_string());
-    }
-    let heads = [Head::Residual, Head::Attention, Head::Slope]
-        .map(|head| Error::HeadNotFinite(head).to_string());
-    for (message, name) in heads.iter().zip(["residual", "attention", "slope"]) {
-        assert!(message.contains(name));
-    }
+            &AttentionHead {
+                map: attention,
+                unit: AttentionUnit::Logit,
+                decode_at: at,
+            },
+            &SlopeHead {
+                map: slope,
+                classes: &one,
+                decode_at: at,
+            },
+            &mut scratch,
+            FusedMaps {
+                depth: &mut depth,
+                ..FusedMaps::default()
+            },
+        )
+    };
+    assert_eq!(fuse(good, good, good), Ok(()));
+    expect(fuse(double, good, good), 602, "2 channels", seen);
+    expect(fuse(good, double, good), 602, "2 channels", seen);
+    expect(fuse(good, good, double), 503, "2 slope logits for 1", seen);
+    expect(fuse(nan, good, good), 603, "residual", seen);
+    expect(fuse(good, infinite, good), 603, "attention", seen);
+    expect(fuse(good, good, nan), 603, "slope", seen);
+    // The reference's attention has the ground's size.
+    let narrow = HeadMap::new(Samples::F32(&values[..9]), 1, ImageSize::new(3, 3).unwrap());
+    let reference = ReferenceFusion::new(1.65, 200.0, range).unwrap().vanilla(
+        &coefficients,
+        &good,
+        &narrow.unwrap(),
+        &mut vec![0.0; reference_scratch_len(size, 4, 4, 0)],
+        &mut [0.0; 12],
+    );
+    expect(reference, 609, "3x3, must be 4x3", seen);
 
     let expected = [
         101..=108,

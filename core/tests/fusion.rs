@@ -572,6 +572,79 @@ fn maps_may_be_left_out() {
 }
 
 /// What is refused, and that the numbers in errors are right.
+/// Each refusal says how much would have been enough to get farther, and `scratch_len` is enough, with nothing to spare
+/// where heads are upsampled by any factor.
+#[test]
+fn scratch_is_as_long_as_needed() {
+    let output = ImageSize::new(12, 3).unwrap();
+    let inverse = [0.1; 36];
+    let ground = GroundView::from_values(&inverse, output, 1.5).unwrap();
+    let asked = |head_width: u32, count: usize, at: DecodeAt| {
+        let head = ImageSize::new(head_width, 2).unwrap();
+        let values = vec![0.5; count.max(1) * head.pixels()];
+        let map = |channels: usize| {
+            HeadMap::new(
+                Samples::F32(&values[..channels * head.pixels()]),
+                channels,
+                head,
+            )
+        };
+        let residual = ResidualHead {
+            map: map(1).unwrap(),
+            unit: ResidualUnit::Metres,
+            decode_at: at,
+        };
+        let attention = AttentionHead {
+            map: map(1).unwrap(),
+            unit: AttentionUnit::Logit,
+            decode_at: at,
+        };
+        let degrees = (0..count).map(|i| Angle::from_degrees(i as f64));
+        let angles: Vec<Angle> = degrees.collect();
+        // Not 0: what a refusal says has to count what is left.
+        let mut length = 1;
+        loop {
+            let mut depth = [0.0; 36];
+            let maps = FusedMaps {
+                depth: &mut depth,
+                ..FusedMaps::default()
+            };
+            let (fusion, mut scratch) = (fusion(Upsampling::AlignCorners), vec![0.0; length]);
+            let result = if count > 0 {
+                let slope = SlopeHead {
+                    map: map(count).unwrap(),
+                    classes: &SlopeClasses::<8>::new(&angles, SlopeSign::DownhillPositive).unwrap(),
+                    decode_at: at,
+                };
+                fusion.adaptive(&ground, &residual, &attention, &slope, &mut scratch, maps)
+            } else {
+                fusion.vanilla(&ground, &residual, &attention, &mut scratch, maps)
+            };
+            match result {
+                Err(Error::ScratchLength { needed, given }) => {
+                    assert!(given == length && needed > length);
+                    length = needed;
+                }
+                other => {
+                    other.unwrap();
+                    return length;
+                }
+            }
+        }
+    };
+    for count in [0, 1, 3] {
+        // The row of tangents is counted without a slope head too.
+        let spare = if count == 0 { 12 } else { 0 };
+        let needed = asked(5, count, DecodeAt::OutputSize) + spare;
+        assert_eq!(needed, scratch_len(output, 5, count), "{count} classes");
+        for width in [1, 2, 5, 12, 13, 40] {
+            let enough = scratch_len(output, width, count);
+            assert!(asked(width, count, DecodeAt::HeadSize) <= enough);
+            assert!(asked(width, count, DecodeAt::OutputSize) <= enough);
+        }
+    }
+}
+
 #[test]
 fn refusals() {
     let size = ImageSize::new(8, 4).unwrap();

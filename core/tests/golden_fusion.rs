@@ -152,9 +152,52 @@ fn edge_cases_of_the_reference() -> Result<(), Error> {
     for (plane, degrees, reference) in EDGES {
         let depth = ground_alone(plane, degrees)?;
         assert!(
-            (depth - reference).abs() <= 1e-5 * reference + 2e-6,
+            (depth - reference).abs() <= 1e-6 * reference + 2e-6,
             "{plane} m, {degrees} degrees: {depth} m, reference {reference} m"
         );
+    }
+    Ok(())
+}
+
+/// As for the other modes in tests/fusion.rs.
+#[test]
+fn scratch_is_as_long_as_needed() -> Result<(), Error> {
+    let (input, decoder) = (ImageSize::new(12, 3)?, ImageSize::new(7, 2)?);
+    let (inverse, values) = ([0.1; 36], [0.5; 45]);
+    let ground = GroundView::from_values(&inverse, input, 1.5)?;
+    let residual = HeadMap::new(Samples::F32(&values[..14]), 1, decoder)?;
+    let attention = HeadMap::new(Samples::F32(&values[..36]), 1, input)?;
+    let angles = [-4.0, 0.0, 4.0].map(Angle::from_degrees);
+    let classes = SlopeClasses::<3>::new(&angles, SlopeSign::UphillPositive)?;
+    let slope = SlopeHead {
+        map: HeadMap::new(Samples::F32(&values), 3, ImageSize::new(5, 3)?)?,
+        classes: &classes,
+        decode_at: DecodeAt::OutputSize,
+    };
+    for count in [0, 3] {
+        let mut length = 0;
+        loop {
+            let (mut scratch, mut depth) = (vec![0.0; length], [0.0; 36]);
+            let result = if count > 0 {
+                settings().adaptive(
+                    &ground,
+                    &residual,
+                    &attention,
+                    &slope,
+                    &mut scratch,
+                    &mut depth,
+                )
+            } else {
+                settings().vanilla(&ground, &residual, &attention, &mut scratch, &mut depth)
+            };
+            let Err(Error::ScratchLength { needed, given }) = result else {
+                result?;
+                break;
+            };
+            assert!(given == length && needed > length);
+            length = needed;
+        }
+        assert_eq!(length, reference_scratch_len(input, 7, 5, count));
     }
     Ok(())
 }

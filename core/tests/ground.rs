@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use gedepth_core::camera::{
     BrownConrady, CameraModel, ImageSize, Intrinsics, KannalaBrandt, Pinhole, Pixel,
 };
-use gedepth_core::table::{Coverage, GroundCoefficients, GroundView};
+use gedepth_core::table::{Coverage, GroundCoefficients, GroundView, MIN_INVERSE_DEPTH};
 use gedepth_core::{
     Angle, CameraFrame, Direction, Error, Extrinsics, Ground, GroundPlane, Mounting, Point,
     WorldFrame,
@@ -285,6 +285,11 @@ fn coverage_and_vanishing_line() -> Result<(), Error> {
     assert!((upper.u - 50.0).abs() < 1e-9 && upper.v.abs() < 1e-9);
     assert!((lower.u - 50.0).abs() < 1e-9 && (lower.v - 50.0).abs() < 1e-9);
 
+    // What is so far away that it has no depth does not count.
+    let far = [MIN_INVERSE_DEPTH, MIN_INVERSE_DEPTH * 1.01];
+    let far = GroundView::from_values(&far, ImageSize::new(2, 1)?, 1.0)?;
+    assert_eq!(Coverage::of(&far, &mut [0.0; 2])?.share, 0.5);
+
     // Upside down the ground is above.
     let (turned, _) = look(0.0, 180.0)?;
     assert_eq!(turned.share, 25.0 / 51.0);
@@ -304,6 +309,44 @@ fn vanishing_line_inside_an_image_circle() -> Result<(), Error> {
     let radius = 100.0 * t * (1.0 - 0.15 * t * t);
     assert!((left.u - (500.0 - radius)).abs() < 1e-3 && (left.v - 500.0).abs() < 1e-6);
     assert!((right.u - (500.0 + radius)).abs() < 1e-3 && (right.v - 500.0).abs() < 1e-6);
+    Ok(())
+}
+
+/// The same with the camera turned every way: rays at the circle's angle that run along the ground, by bisection.
+#[test]
+fn vanishing_line_ends_on_an_image_circle() -> Result<(), Error> {
+    let size = ImageSize::new(1001, 1001)?;
+    let camera = KannalaBrandt::new(Intrinsics::centred(size, 100.0)?, [-0.15, 0.0, 0.0, 0.0])?;
+    let t = (0.99_f64 / 0.45).sqrt();
+    let radius = 100.0 * t * (1.0 - 0.15 * t * t);
+    for (pitch, roll) in [(20.0, 0.0), (-35.0, 10.0), (50.0, 75.0), (10.0, -160.0)] {
+        let ground =
+            Ground::from_mounting(1.0, Angle::from_degrees(pitch), Angle::from_degrees(roll))?;
+        let down = ground.down().vector();
+        let dip = |a: f64| (down.x * a.cos() + down.y * a.sin()) * t.sin() + down.z * t.cos();
+        let mut ends = vec![];
+        for i in 0..1000 {
+            let (mut a, mut b) = (f64::from(i) * PI / 500.0, f64::from(i + 1) * PI / 500.0);
+            if (dip(a) > 0.0) != (dip(b) > 0.0) {
+                for _ in 0..50 {
+                    let middle = 0.5 * (a + b);
+                    if (dip(a) > 0.0) == (dip(middle) > 0.0) {
+                        a = middle;
+                    } else {
+                        b = middle;
+                    }
+                }
+                ends.push((500.0 + radius * a.cos(), 500.0 + radius * a.sin()));
+            }
+        }
+        ends.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        let line = ground.vanishing_line(&camera).unwrap();
+        assert_eq!(ends.len(), 2);
+        for (end, (u, v)) in line.iter().zip(ends) {
+            let off = (end.u - u).hypot(end.v - v);
+            assert!(off < 1e-3, "{pitch}, {roll}: {end:?}, not ({u}, {v})");
+        }
+    }
     Ok(())
 }
 

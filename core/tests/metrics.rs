@@ -209,6 +209,13 @@ fn intervals_that_are_refused() {
         })
     );
     assert!(a.intervals().all(|(_, bin)| bin.metrics().is_none()));
+    // A limit belongs to the interval that begins there, and the last to none.
+    a.add(1.0, 1.0);
+    a.add(1.0, 2.0);
+    let counts = a
+        .intervals()
+        .map(|(_, bin)| bin.metrics().map_or(0, |m| m.count));
+    assert_eq!(counts.collect::<Vec<_>>(), [0, 1]);
 }
 
 /// Garg's crop on KITTI, with the numbers that NumPy gives for its fractions; and the rules of what counts.

@@ -288,10 +288,8 @@ fn owned_tables() -> Result<(), Error> {
         (fixed.view()?.size(), fixed.view()?.camera_height()),
         (size, 1.0)
     );
-    assert_eq!(
-        (coefficients.size(), coefficients.camera_height()),
-        (size, 1.0)
-    );
+    let higher = GroundCoefficients::new(&k, &high);
+    assert_eq!((higher.size(), higher.camera_height()), (size, 2.0));
 
     // A table kept elsewhere.
     let kept = GroundView::from_values(&built, size, 1.0)?;

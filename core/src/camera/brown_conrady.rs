@@ -107,32 +107,38 @@ impl BrownConrady {
         Some((moved, jacobian))
     }
 
-    /// Whether the Jacobian at `p` is positive definite, and neither nearly singular nor huge.
+    /// Whether the Jacobian at `p` is neither nearly singular nor huge. It is positive definite on the axis, and stays so
+    /// until its determinant has been 0.
     fn is_regular(&self, p: DVec2) -> bool {
-        self.distorted(p).is_some_and(|(_, [xx, xy, yy])| {
-            DETERMINANT.contains(&(xx * yy - xy * xy)) && xx + yy > 0.0
-        })
+        self.distorted(p)
+            .is_some_and(|(_, [xx, xy, yy])| DETERMINANT.contains(&(xx * yy - xy * xy)))
     }
 
     /// The point that the distortion moves to `target`.
     fn undistorted(&self, target: DVec2) -> Option<DVec2> {
         // Mostly the distortion is so mild that Newton's steps lead there from where its factor is about undone.
-        let factor = self.radial(target.length_squared()).map_or(1.0, |(g, _)| g);
-        self.search(target, target / factor)
+        self.search(target, self.start(target))
             .or_else(|| self.search(target, self.radially_undistorted(target)))
+    }
+
+    /// About the point that the distortion moves to `target`.
+    fn start(&self, target: DVec2) -> DVec2 {
+        target / self.radial(target.length_squared()).map_or(1.0, |(g, _)| g)
+    }
+
+    /// The radius that the radial part of the distortion gives to the radius `r`, and its slope.
+    fn radius(&self, r: f64) -> [f64; 2] {
+        self.radial(r * r)
+            .map_or([f64::INFINITY, 1.0], |(g, slope)| {
+                [r * g, g + 2.0 * r * r * slope]
+            })
     }
 
     /// The point that the radial part of the distortion moves to `target`, or towards it as far as the field of view
     /// goes.
     fn radially_undistorted(&self, target: DVec2) -> DVec2 {
-        let radial = |r: f64| {
-            self.radial(r * r)
-                .map_or([f64::INFINITY, 1.0], |(g, slope)| {
-                    [r * g, g + 2.0 * r * r * slope]
-                })
-        };
         let radius = target.length();
-        let radius = monotone::invert(radial, radius, radius, self.limit);
+        let radius = monotone::invert(|r| self.radius(r), radius, radius, self.limit);
         target.normalize_or_zero() * radius
     }
 
@@ -151,9 +157,7 @@ impl BrownConrady {
                 return Some(p);
             }
             // Beyond the limit is another sheet of a fold; a target there is never met.
-            if !inside {
-                p = p.clamp_length_max(self.limit);
-            }
+            p = p.clamp_length_max(self.limit);
         }
         None
     }
@@ -186,5 +190,55 @@ impl CameraModel for BrownConrady {
     fn forward_ray(&self, pixel: Pixel) -> Option<DVec2> {
         let (x, y) = self.intrinsics.image_plane(pixel);
         self.undistorted(DVec2::new(x, y))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::BrownConrady;
+    use crate::Error;
+    use crate::camera::{ImageSize, Intrinsics};
+
+    fn camera(coefficients: [f64; 8]) -> Result<BrownConrady, Error> {
+        let intrinsics = Intrinsics::centred(ImageSize::new(1000, 800)?, 700.0)?;
+        BrownConrady::rational(intrinsics, coefficients)
+    }
+
+    /// Wrong slopes would only make Newton's steps lead there later, or not from everywhere.
+    #[test]
+    fn slopes_are_those_of_the_values() -> Result<(), Error> {
+        const STEP: f64 = 1e-6;
+        let c = camera([-0.3, 0.12, 0.05, -0.04, -0.02, 0.07, 0.03, 0.01])?;
+        for (x, y) in [(0.3, 0.2), (-0.4, 0.1), (0.25, -0.45), (-0.1, -0.6)] {
+            let moved = |x: f64, y: f64| c.distorted(DVec2::new(x, y)).map_or(DVec2::NAN, |d| d.0);
+            let by_x = (moved(x + STEP, y) - moved(x - STEP, y)) / (2.0 * STEP);
+            let by_y = (moved(x, y + STEP) - moved(x, y - STEP)) / (2.0 * STEP);
+            let (_, [xx, xy, yy]) = c.distorted(DVec2::new(x, y)).unwrap_or_default();
+            for (slope, truth) in [(xx, by_x.x), (xy, by_x.y), (xy, by_y.x), (yy, by_y.y)] {
+                assert!((slope - truth).abs() < 1e-8, "({x}, {y}): {slope}, {truth}");
+            }
+            let slope = (c.radius(x.abs() + STEP)[0] - c.radius(x.abs() - STEP)[0]) / (2.0 * STEP);
+            assert!((c.radius(x.abs())[1] - slope).abs() < 1e-8, "{x}: {slope}");
+        }
+        Ok(())
+    }
+
+    /// Both starts of the search: one that is cheap and near, and one that is exact but for the tangential part.
+    #[test]
+    fn the_search_starts_well() -> Result<(), Error> {
+        let usual = camera([-0.3, 0.12, 0.0005, -0.0004, -0.02, 0.0, 0.0, 0.0])?;
+        let radial = camera([-0.3, 0.12, 0.0, 0.0, -0.02, 0.0, 0.0, 0.0])?;
+        for (x, y) in [(0.5, 0.0), (-0.3, 0.3), (0.1, -0.4), (-0.6, -0.2)] {
+            let target = DVec2::new(x, y);
+            let end = usual.undistorted(target).unwrap_or(DVec2::NAN);
+            let (from_start, from_target) = (usual.start(target) - end, target - end);
+            assert!(from_start.length() < 0.3 * from_target.length());
+            let back = radial.distorted(radial.radially_undistorted(target));
+            let (back, _) = back.unwrap_or_default();
+            assert!((back - target).length() < 1e-9);
+        }
+        Ok(())
     }
 }

@@ -6,11 +6,8 @@
 pub(super) fn invert(f: impl Fn(f64) -> [f64; 2], target: f64, start: f64, end: f64) -> f64 {
     // Newton's steps, and halving where one would leave the bracket.
     let (mut low, mut high) = (0.0, end);
-    let mut x = if (low..=high).contains(&start) {
-        start
-    } else {
-        0.5 * high
-    };
+    // In this order NaN becomes 0.
+    let mut x = start.max(low).min(high);
     for _ in 0..60 {
         let [value, slope] = f(x);
         let miss = target - value;

@@ -24,7 +24,8 @@ impl Upsampling {
             Self::AlignCorners if output > 1 => i * (n - 1.0) / (m - 1.0),
             Self::AlignCorners => 0.0,
         };
-        let source = source.max(0.0).min(n - 1.0);
+        // Beyond the last sample both are the last one.
+        let source = source.max(0.0);
         let before = floor(source);
         let after = (before as u32 + 1).min(input - 1);
         (before as u32, after, (source - before) as f32)
@@ -177,7 +178,7 @@ impl Columns<'_> {
             Self::Any { before, share } => {
                 for ((out, before), share) in out.iter_mut().zip(before.iter()).zip(share.iter()) {
                     let column = before.to_bits() as usize;
-                    // The share of a column beyond the last one is 0.
+                    // Beyond the last column both are the last one.
                     let a = row.get(column).copied().unwrap_or(0.0);
                     let b = row.get(column + 1).copied().unwrap_or(a);
                     *out = lerp(a, b, *share);

@@ -25,8 +25,8 @@ impl Ground {
         let distance = |a: Pixel, b: Pixel| DVec2::new(a.u - b.u, a.v - b.v).length();
         let mut line = None;
         let mut longest = 1e-6;
-        for (i, a) in ends.iter().enumerate() {
-            for b in ends.iter().skip(i + 1) {
+        for a in &ends {
+            for b in &ends {
                 if distance(*a, *b) > longest {
                     longest = distance(*a, *b);
                     line = Some([*a, *b]);

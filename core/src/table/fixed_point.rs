@@ -4,7 +4,10 @@
 //! ground, so what the vanishing line hides is not kept: with an uphill slope the adaptive mode finds no ground above the
 //! line in these tables. Use another form where that matters.
 
-use super::{GroundRows, ImageSize, NO_GROUND, check_height, check_length, fill, table_memory};
+use super::{
+    GroundCoefficients, GroundRows, ImageSize, NO_GROUND, check_height, check_length, fill,
+    table_memory,
+};
 use crate::camera::CameraModel;
 use crate::{Error, Ground};
 
@@ -48,14 +51,25 @@ impl<'a, const STEPS_PER_METRE: u32, const RANGE: u32> FixedView<'a, STEPS_PER_M
         let () = Self::FITS;
         let size = camera.size();
         let values = table_memory(values, size)?;
-        fill(values, camera, ground, |inverse| {
+        let encode = |inverse: f64| {
             if inverse >= 1.0 / f64::from(RANGE) {
                 // Half a step more, cut: the nearest step.
                 ((f64::from(STEPS_PER_METRE) / inverse + 0.5) as u16).max(1)
             } else {
                 0
             }
-        });
+        };
+        if let Some(intrinsics) = camera.as_pinhole() {
+            let coefficients = GroundCoefficients::new(intrinsics, ground);
+            let rows = values.chunks_exact_mut(size.row());
+            for (v, row) in (0_u32..).zip(rows) {
+                for (u, value) in (0_u32..).zip(row) {
+                    *value = encode(coefficients.inverse_depth(f64::from(u), f64::from(v)));
+                }
+            }
+        } else {
+            fill(values, camera, ground, encode);
+        }
         Ok(Self {
             values,
             size,
