@@ -29,14 +29,16 @@ mod engine;
 mod error;
 mod estimator;
 mod heads;
+mod inspection;
 mod model;
 mod preprocess;
 mod resample;
 mod vectors;
 
 pub use calibration::{Calibration, Camera, json, kitti};
-pub use engine::{Engine, Kernel, LayerTime};
+pub use engine::{Engine, InspectedNode, Kernel, LayerTime, Place};
 pub use error::Error;
 pub use estimator::{Estimate, Estimator, OutputSize, StageTimes};
+pub use inspection::{InspectedTensor, Inspection, PlanKind, Weights};
 pub use model::{Model, Size};
 pub use preprocess::{Picture, Placement};

@@ -19,6 +19,7 @@ enum Command {
     Run(command::run::Arguments),
     Eval(command::eval::Arguments),
     Bench(command::bench::Arguments),
+    Inspect(command::inspect::Arguments),
 }
 
 const EXIT_CODES: &str = "\
@@ -36,6 +37,7 @@ fn main() -> ExitCode {
         Command::Run(arguments) => command::run::run(&arguments),
         Command::Eval(arguments) => command::eval::run(&arguments),
         Command::Bench(arguments) => command::bench::run(&arguments),
+        Command::Inspect(arguments) => command::inspect::run(&arguments),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,19 +1,21 @@
 //! A model: an ONNX file and the contract in its metadata.
 
+use std::collections::HashSet;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tract_onnx::pb::ModelProto;
 use tract_onnx::pb::tensor_proto::DataType;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::type_proto::Value as TypeValue;
+use tract_onnx::pb::{ModelProto, StringStringEntryProto};
 use tract_onnx::prelude::*;
 
 use crate::Error;
 use crate::contract::Contract;
 use crate::engine::{self, Engine, Entrance, LayerTime, Results, Threads, Whole};
+use crate::inspection::{InspectedTensor, Inspection, PlanKind, Weights};
 
 /// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
 static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onnx");
@@ -95,6 +97,39 @@ impl Model {
     /// Runs its quantized layers in another way than [`Engine::default`].
     pub fn with_engine(self, engine: Engine) -> Self {
         Self { engine, ..self }
+    }
+
+    /// How its quantized layers are run.
+    pub fn engine(&self) -> Engine {
+        self.engine
+    }
+
+    /// What the file holds and who will run which of its nodes, at the size that the file fixes or that the network was
+    /// made for.
+    pub fn inspect(&self) -> Result<Inspection, Error> {
+        let size = self.fixed_size.unwrap_or(self.contract.nominal_size);
+        let network = Network::new(self, size, &[&self.contract.residual])?;
+        let graph = self.proto.graph.as_ref();
+        let entries = self.proto.metadata_props.iter();
+        let entry = |e: &StringStringEntryProto| {
+            Some((e.key.strip_prefix("gedepth.")?.to_owned(), e.value.clone()))
+        };
+        let weights: HashSet<&str> = graph
+            .iter()
+            .flat_map(|graph| graph.initializer.iter().map(|t| t.name.as_str()))
+            .collect();
+        let mut inputs = graph.map_or(Vec::new(), |graph| InspectedTensor::all(&graph.input));
+        inputs.retain(|input| !weights.contains(input.name.as_str()));
+        Ok(Inspection {
+            path: self.path.clone(),
+            contract: entries.filter_map(entry).collect(),
+            inputs,
+            outputs: graph.map_or(Vec::new(), |graph| InspectedTensor::all(&graph.output)),
+            weights: Weights::of(&self.proto),
+            size,
+            plan: network.kind(),
+            nodes: self.engine.inspect(&self.proto),
+        })
     }
 
     /// What the model says about itself.
@@ -220,6 +255,7 @@ enum Plan {
         plan: Arc<TypedRunnableModel>,
         /// `[1, channels, height, width]`; taken by a run and given back after it.
         input: Arc<Tensor>,
+        kind: PlanKind,
     },
     /// The engine alone, without an allocation per run.
     Engine(Box<Whole>),
@@ -267,7 +303,7 @@ impl Network {
             size.1 as usize,
             size.0 as usize,
         ];
-        let plan = |proto: &ModelProto| {
+        let plan = |proto: &ModelProto, kind: PlanKind| {
             guarded(|| {
                 let mut onnx = tract_onnx::onnx();
                 engine::register(&mut onnx);
@@ -277,7 +313,7 @@ impl Network {
                     .into_optimized()?
                     .into_runnable()?;
                 let input = Arc::new(Tensor::zero::<f32>(&shape)?);
-                Ok(Plan::Tract { plan, input })
+                Ok(Plan::Tract { plan, input, kind })
             })
         };
         // What the engine cannot do, tract does; what it cannot do after all, too.
@@ -288,16 +324,30 @@ impl Network {
             .and_then(|split| Whole::new(split, [channels, height, width]));
         let plan = match (whole, split) {
             (Some(whole), _) => Plan::Engine(Box::new(whole)),
-            (None, Some(split)) => plan(&split)
-                .or_else(|_| plan(&model.proto))
+            (None, Some(split)) => plan(&split, PlanKind::TractWithIslands)
+                .or_else(|reason| {
+                    let islands_refused = Some(reason);
+                    plan(&model.proto, PlanKind::Tract { islands_refused })
+                })
                 .map_err(unfit)?,
-            (None, None) => plan(&model.proto).map_err(unfit)?,
+            (None, None) => {
+                let islands_refused = None;
+                plan(&model.proto, PlanKind::Tract { islands_refused }).map_err(unfit)?
+            }
         };
         Ok(Self {
             path: model.path.clone(),
             plan,
             outputs,
         })
+    }
+
+    /// Who runs it.
+    fn kind(&self) -> PlanKind {
+        match &self.plan {
+            Plan::Engine(_) => PlanKind::Engine,
+            Plan::Tract { kind, .. } => kind.clone(),
+        }
     }
 
     /// Lets `fill` write the input.
@@ -346,8 +396,10 @@ impl Network {
     /// Runs the network on its input. The threads that ran it are free to go on with its outputs; none where tract did.
     pub(crate) fn run(&mut self) -> Result<(Outputs<'_>, Option<Threads<'_>>), Error> {
         let values = match &mut self.plan {
-            Plan::Tract { plan, input } => guarded(|| plan.run(tvec!(input.clone().into_tvalue())))
-                .map(|values| (Values::Tract(values), None)),
+            Plan::Tract { plan, input, .. } => {
+                guarded(|| plan.run(tvec!(input.clone().into_tvalue())))
+                    .map(|values| (Values::Tract(values), None))
+            }
             Plan::Engine(whole) => guarded(|| Ok(whole.run()))
                 .and_then(|ran| ran)
                 .map(|(results, threads)| (Values::Engine(results), Some(threads))),

@@ -3,6 +3,7 @@
 pub(crate) mod bench;
 pub(crate) mod eval;
 pub(crate) mod inputs;
+pub(crate) mod inspect;
 pub(crate) mod output;
 pub(crate) mod run;
 

@@ -4,13 +4,15 @@
 //! QuantizeLinear and DequantizeLinear in the ONNX graph; [`island`] gathers them and
 //! replaces each gathering by one operator of tract ([`operator`]); [`layer`] says exactly what a layer means;
 //! [`schedule`] lays out its memory and shares out its rows among [`threads`]; [`kernels`] are the inner loops; a network
-//! that is all one island runs without tract ([`whole`]). What is not recognized stays with tract, and where an island cannot be planned, the whole model does.
+//! that is all one island runs without tract ([`whole`]). What is not recognized stays with tract, with a reason
+//! ([`inspection`]), and where an island cannot be planned, the whole model does.
 //!
 //! # Panics
 //! None on any model or picture. `unsafe` is in [`kernels`], [`arena`] and [`threads`] only.
 
 mod arena;
 mod expression;
+mod inspection;
 mod island;
 mod kernels;
 mod layer;
@@ -26,6 +28,7 @@ mod whole;
 
 use tract_onnx::pb::ModelProto;
 
+pub use inspection::{InspectedNode, Place};
 pub use kernels::Kernel;
 pub(crate) use operator::register;
 pub use profile::LayerTime;

@@ -78,7 +78,6 @@ pub(crate) struct Survey {
     /// The layers, in the graph's order. Every byte tensor that one of them reads is written by another.
     pub(crate) layers: Vec<Recognized>,
     /// Why nodes that might have been layers are none.
-    #[allow(dead_code, reason = "`gedepth inspect` will print them")]
     pub(crate) reasons: HashMap<usize, Reason>,
 }
 

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use tract_onnx::pb::{ModelProto, NodeProto, TensorProto};
 use tract_onnx::tract_hir::internal::Tensor;
 
+use super::super::Place;
 use super::super::island::ISLAND;
 use super::super::recognize::graph::{Reader, input};
 use super::super::tidy::tidy;
@@ -101,8 +102,18 @@ struct Cut {
     steps: Steps,
 }
 
-/// The model with every byte tensor of an activation made an output, as f32, and read from an input of its own.
-fn cut_open(model: &ModelProto, values: &HashMap<String, Tensor>) -> (ModelProto, Vec<Cut>) {
+fn like(quantize: &NodeProto, op: &str, from: String, to: String) -> NodeProto {
+    NodeProto {
+        op_type: op.into(),
+        input: [vec![from], quantize.input[1..].to_vec()].concat(),
+        output: vec![to],
+        ..NodeProto::default()
+    }
+}
+
+/// The model with those byte tensors of activations that `values` has (all, without it) made outputs, as f32; with
+/// `values`, who reads them reads an input instead.
+fn open(model: &ModelProto, values: Option<&HashMap<String, Tensor>>) -> (ModelProto, Vec<Cut>) {
     let mut open = model.clone();
     let reader = Reader::new(model.graph.as_ref().unwrap());
     let graph = open.graph.as_mut().unwrap();
@@ -111,7 +122,7 @@ fn cut_open(model: &ModelProto, values: &HashMap<String, Tensor>) -> (ModelProto
     let mut leave: Vec<NodeProto> = Vec::new();
     for node in &mut graph.node {
         let is_weight = input(node, 0).is_some_and(|name| reader.is_constant(name));
-        if node.op_type != "QuantizeLinear" || is_weight || !values.contains_key(&node.output[0]) {
+        if node.op_type != "QuantizeLinear" || is_weight {
             continue;
         }
         let (name, float) = (node.output[0].clone(), node.input[0].clone());
@@ -121,34 +132,43 @@ fn cut_open(model: &ModelProto, values: &HashMap<String, Tensor>) -> (ModelProto
             zero: zero[0] as i32,
             signed: kind == DatumType::I8,
         };
-        let like = |op: &str, from: String, to: String| NodeProto {
-            op_type: op.into(),
-            input: [vec![from], node.input[1..].to_vec()].concat(),
-            output: vec![to],
-            ..NodeProto::default()
-        };
-        enter.push(like("QuantizeLinear", format!("{name} in"), name.clone()));
-        leave.push(like(
-            "DequantizeLinear",
-            format!("{name} made"),
-            format!("{name} out"),
-        ));
-        node.output[0] = format!("{name} made");
-        cuts.push(Cut { name, float, steps });
-    }
-    for cut in &cuts {
-        let tensor = Builder::input(&format!("{} in", cut.name), values[&cut.name].shape());
-        graph.input.push(tensor);
+        match values {
+            None => leave.push(like(
+                node,
+                "DequantizeLinear",
+                name.clone(),
+                format!("{name} out"),
+            )),
+            Some(values) if values.contains_key(&name) => {
+                enter.push(like(
+                    node,
+                    "QuantizeLinear",
+                    format!("{name} in"),
+                    name.clone(),
+                ));
+                let made = format!("{name} made");
+                leave.push(like(
+                    node,
+                    "DequantizeLinear",
+                    made.clone(),
+                    format!("{name} out"),
+                ));
+                node.output[0] = made;
+                let shape = values[&name].shape();
+                graph
+                    .input
+                    .push(Builder::input(&format!("{name} in"), shape));
+            }
+            Some(_) => continue,
+        }
         graph.output.push(ValueInfoProto {
-            name: format!("{} out", cut.name),
+            name: format!("{name} out"),
             ..ValueInfoProto::default()
         });
+        cuts.push(Cut { name, float, steps });
     }
-    let (constants, rest): (Vec<_>, Vec<_>) = graph
-        .node
-        .drain(..)
-        .partition(|node| node.op_type == "Constant");
-    graph.node = [constants, enter, rest, leave].concat();
+    let rest = std::mem::take(&mut graph.node);
+    graph.node = [enter, rest, leave].concat();
     (open, cuts)
 }
 
@@ -160,8 +180,8 @@ struct Found {
     ties: usize,
     /// Farthest from the nearest step, in steps; 0.5 is the edge.
     farthest: f64,
-    /// Greatest difference of outputs in f32.
-    floats: f32,
+    /// Greatest difference of outputs in f32 from ONNX Runtime's, and from tract's.
+    floats: [f32; 2],
 }
 
 /// Gives each layer the bytes of `values` and holds its bytes against them: the same, or one step away where tract's
@@ -173,7 +193,7 @@ fn compare_layers(
     edge: f64,
     case: &str,
 ) -> Found {
-    let (open, cuts) = cut_open(model, values);
+    let (open, cuts) = open(model, Some(values));
     let mut inputs = values.clone();
     for cut in &cuts {
         let real = |byte: i32| (byte - cut.steps.zero) as f32 * cut.steps.scale;
@@ -201,9 +221,12 @@ fn compare_layers(
     let mut theirs = outputs(&in_floats, Engine::Tract, &inputs).into_iter();
     let mut found = Found::default();
     for (output, ours) in model.graph.as_ref().unwrap().output.iter().zip(&ours) {
-        let (ours, _tracts) = (reals(ours), theirs.next().unwrap());
-        for (a, b) in ours.iter().zip(reals(&values[&output.name])) {
-            found.floats = found.floats.max((a - b).abs());
+        let ours = reals(ours);
+        let others = [reals(&values[&output.name]), reals(&theirs.next().unwrap())];
+        for (most, other) in found.floats.iter_mut().zip(others) {
+            for (a, b) in ours.iter().zip(other) {
+                *most = most.max((a - b).abs());
+            }
         }
         assert_eq!(
             ours.len(),
@@ -323,7 +346,7 @@ fn files_of_other_tools_give_what_onnx_runtime_gives() {
             let (model, values) = file(name);
             let found = compare_layers(&model, &values, engine, EDGE, name);
             println!("{name}: {found:?}");
-            assert!(found.floats < 1e-4, "{name}: {}", found.floats);
+            assert!(found.floats[0] < 1e-4, "{name}: {:?}", found.floats);
             // Where no layer is on an edge, all of them together give the same too.
             if found.ties == 0 {
                 let whole = outputs(&model, engine, &values);
@@ -339,4 +362,84 @@ fn files_of_other_tools_give_what_onnx_runtime_gives() {
             }
         }
     }
+}
+
+/// Each layer of the embedded network, given what the engine made of the layers before it.
+#[test]
+fn every_layer_of_the_network_is_what_tract_makes_of_the_same_nodes() {
+    let file = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../fixtures/models/adaptive-int8.onnx"
+    );
+    let bytes = std::fs::read(file).unwrap();
+    let mut model = tract_onnx::onnx()
+        .proto_model_for_read(&mut bytes.as_slice())
+        .unwrap();
+    model.graph = Some(tidy(&model, model.graph.as_ref().unwrap()));
+    let graph = model.graph.as_ref().unwrap();
+    let mut numbers = Numbers(9);
+    let picture: Vec<f32> = (0..4 * 64 * 96).map(|_| numbers.real(-2.0, 2.0)).collect();
+    let picture = Tensor::from_shape(&[1, 4, 64, 96], &picture).unwrap();
+    let mut values = HashMap::from([(graph.input[0].name.clone(), picture)]);
+    let (exposed, cuts) = open(&model, None);
+    let made = outputs(&exposed, fastest(), &values);
+    let finals = graph.output.len();
+    for (output, value) in graph.output.iter().zip(&made) {
+        values.insert(output.name.clone(), value.clone());
+    }
+    for (cut, real) in cuts.iter().zip(&made[finals..]) {
+        let Steps {
+            scale,
+            zero,
+            signed,
+        } = cut.steps;
+        assert!(!signed);
+        let byte = |&real: &f32| ((real / scale).round() as i32 + zero) as u8;
+        let bytes: Vec<u8> = reals(real).iter().map(byte).collect();
+        values.insert(
+            cut.name.clone(),
+            Tensor::from_shape(real.shape(), &bytes).unwrap(),
+        );
+    }
+    assert!(cuts.len() > 50, "{}", cuts.len());
+    let found = compare_layers(&model, &values, fastest(), EDGE, "the network");
+    println!("{found:?}");
+    assert_eq!(
+        (found.ties, found.floats[0]),
+        (0, 0.0),
+        "the engine, layer by layer, is another than in one go"
+    );
+    assert!(found.farthest <= 0.5 + EDGE, "{found:?}");
+    assert!(found.floats[1] < 1e-4, "{found:?}");
+}
+
+#[test]
+fn inspection_says_who_runs_a_node_and_why() {
+    let (model, _) = file("decoder-ort-qlinear-u8s8");
+    let nodes = fastest().inspect(&model);
+    let of = |operator: &str| -> Vec<String> {
+        let nodes = nodes.iter().filter(|node| node.operator == operator);
+        nodes.map(|node| format!("{:?}", node.place)).collect()
+    };
+    assert!(
+        of("Conv").iter().all(|place| place.contains("convolution")),
+        "{:?}",
+        of("Conv")
+    );
+    assert!(
+        of("ConvTranspose")[0].contains("its input is not quantized"),
+        "{:?}",
+        of("ConvTranspose")
+    );
+    assert!(of("Elu")[0].contains("not quantized"), "{:?}", of("Elu"));
+    let in_tract = nodes
+        .iter()
+        .filter(|node| matches!(node.place, Place::Tract { .. }))
+        .count();
+    assert_eq!(in_tract, left(&model).0.len());
+    let all = Engine::Tract.inspect(&model);
+    assert!(
+        all.iter()
+            .all(|node| matches!(node.place, Place::Tract { .. }))
+    );
 }
