@@ -202,7 +202,10 @@ fn paddings_are_the_nearest_step() {
         let ends = b.constant(DataType::Int64, &[8], ends);
         let fill = numbers.real(-1.0, 1.0);
         let fill_name = b.floats(&[], &[fill]);
-        let y = b.node("Pad", &[&x, &ends, &fill_name], vec![text("mode", mode)]);
+        // Given a value, tract pads with it in every mode.
+        let inputs = [&x, &ends, &fill_name].map(String::as_str);
+        let used = if mode == "constant" { 3 } else { 2 };
+        let y = b.node("Pad", &inputs[..used], vec![text("mode", mode)]);
         let y = b.quantized(&y, out);
         let input = on_grid(&mut numbers, from, shape.iter().product());
         let source = |at: usize, before: usize, length: usize| -> Option<usize> {
@@ -228,8 +231,6 @@ fn paddings_are_the_nearest_step() {
                 }
             }
         }
-        // tract 0.23 pads with something else than the edge.
-        let check = if mode == "edge" { check_engine } else { check };
         check(
             &b.finish(&[&y]),
             shape,
