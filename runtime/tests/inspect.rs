@@ -21,7 +21,7 @@ fn the_embedded_model_is_described() {
     let text = String::from_utf8(output.stdout).unwrap();
     for words in [
         "contract    mode = adaptive",
-        "input       image [1, 4, height, width]",
+        "input       input [1, 4, height, width]",
         "output      residual",
         "weights     ",
         "runs        by ",
