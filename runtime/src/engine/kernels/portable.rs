@@ -49,7 +49,7 @@ fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, Range<usize>
                 store(pixel, lanes.clone(), &sums);
             }
         }
-        weights = &weights[group * BLOCK * dense.runs * dense.run..];
+        weights = &weights[group * dense.block_weights()..];
         first += group;
     }
 }
