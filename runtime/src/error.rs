@@ -17,6 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The picture's file is not a picture, is broken, or is too large.
+    #[cfg(feature = "files")]
     #[error("{path}: cannot decode the picture: {source}; give a PNG or JPEG of at most {max} x {max} pixels", max = crate::picture::MAX_SIDE)]
     PictureDecode {
         /// The picture's file.
@@ -135,15 +136,38 @@ pub enum Error {
 }
 
 impl Error {
+    /// The number of this kind of error; stable over all versions, never used again for something else. One number space
+    /// with [`gedepth_core::Error::code`] (101 to 799), which is what a calibration's wrong number gives, and with the C
+    /// interfaces (1 to 99).
+    pub fn code(&self) -> u16 {
+        match self {
+            Error::PictureRead { .. } => 801,
+            #[cfg(feature = "files")]
+            Error::PictureDecode { .. } => 802,
+            Error::PictureSize { .. } => 803,
+            Error::PictureUnfit { .. } => 804,
+            Error::NetworkSize { .. } => 805,
+            Error::Cores { .. } => 806,
+            Error::CalibrationRead { .. } => 821,
+            Error::CalibrationFormat { .. } => 822,
+            Error::Calibration { reason, .. } => reason.code(),
+            Error::ModelRead { .. } => 841,
+            Error::Contract { .. } => 842,
+            Error::Model { .. } => 843,
+            Error::DataSet { .. } => 861,
+            Error::Frame { source, .. } => source.code(),
+            Error::Write { .. } => 881,
+        }
+    }
+
     /// The exit code of the command line: 3 picture, 4 calibration, 5 model, 6 output, 7 data set. (2 is a wrong
     /// call.)
     pub fn exit_code(&self) -> u8 {
         match self {
             Error::NetworkSize { .. } | Error::Cores { .. } => 2,
-            Error::PictureRead { .. }
-            | Error::PictureDecode { .. }
-            | Error::PictureSize { .. }
-            | Error::PictureUnfit { .. } => 3,
+            #[cfg(feature = "files")]
+            Error::PictureDecode { .. } => 3,
+            Error::PictureRead { .. } | Error::PictureSize { .. } | Error::PictureUnfit { .. } => 3,
             Error::CalibrationRead { .. }
             | Error::CalibrationFormat { .. }
             | Error::Calibration { .. } => 4,
@@ -151,6 +175,136 @@ impl Error {
             Error::Write { .. } => 6,
             Error::DataSet { .. } => 7,
             Error::Frame { source, .. } => source.exit_code(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Held: never changed, never used again.
+    #[test]
+    fn numbers_of_the_interface() {
+        let path = PathBuf::new;
+        let io = || std::io::Error::other("");
+        let reason = String::new;
+        let size = (1, 1);
+        let contract = || ContractError::Absent;
+        let errors = [
+            (
+                801,
+                Error::PictureRead {
+                    path: path(),
+                    source: io(),
+                },
+            ),
+            #[cfg(feature = "files")]
+            (
+                802,
+                Error::PictureDecode {
+                    path: path(),
+                    source: image::ImageError::IoError(io()),
+                },
+            ),
+            (
+                803,
+                Error::PictureSize {
+                    actual: size,
+                    expected: size,
+                },
+            ),
+            (
+                804,
+                Error::PictureUnfit {
+                    actual: size,
+                    reason: reason(),
+                },
+            ),
+            (
+                805,
+                Error::NetworkSize {
+                    asked: size,
+                    reason: reason(),
+                },
+            ),
+            (
+                806,
+                Error::Cores {
+                    cores: Vec::new(),
+                    reason: reason(),
+                },
+            ),
+            (
+                821,
+                Error::CalibrationRead {
+                    path: path(),
+                    source: io(),
+                },
+            ),
+            (
+                822,
+                Error::CalibrationFormat {
+                    path: path(),
+                    reason: reason(),
+                },
+            ),
+            (
+                102,
+                Error::Calibration {
+                    path: path(),
+                    reason: gedepth_core::Error::FocalLength(0.0),
+                },
+            ),
+            (
+                841,
+                Error::ModelRead {
+                    path: path(),
+                    source: io(),
+                },
+            ),
+            (
+                842,
+                Error::Contract {
+                    path: path(),
+                    source: contract(),
+                },
+            ),
+            (
+                843,
+                Error::Model {
+                    path: path(),
+                    reason: reason(),
+                },
+            ),
+            (
+                861,
+                Error::DataSet {
+                    path: path(),
+                    reason: reason(),
+                },
+            ),
+            (
+                842,
+                Error::Frame {
+                    frame: path(),
+                    model: path(),
+                    source: Box::new(Error::Contract {
+                        path: path(),
+                        source: contract(),
+                    }),
+                },
+            ),
+            (
+                881,
+                Error::Write {
+                    path: path(),
+                    reason: reason(),
+                },
+            ),
+        ];
+        for (number, error) in errors {
+            assert_eq!(error.code(), number, "{error:?}");
         }
     }
 }

@@ -13,7 +13,11 @@ use crate::contract::Contract;
 use crate::engine::LayerTime;
 use crate::heads::{fuse, outputs};
 use crate::model::{Model, Network, Size};
+use crate::plausibility::Plausibility;
 use crate::preprocess::{Picture, Placement, Preprocessor};
+
+/// Longest side of a picture, pixels.
+pub(crate) const MAX_SIDE: u32 = 16384;
 
 /// At which size the depth is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +86,12 @@ impl Estimator {
         network_size: Option<Size>,
         output_size: OutputSize,
     ) -> Result<Self, Error> {
+        if picture.0 > MAX_SIDE || picture.1 > MAX_SIDE {
+            return Err(Error::PictureUnfit {
+                actual: picture,
+                reason: format!("at most {MAX_SIDE} x {MAX_SIDE} pixels are taken"),
+            });
+        }
         let contract = model.contract().clone();
         let camera = calibration.camera(picture)?;
         let placement = Placement::new(model, picture, network_size)?;
@@ -179,6 +189,16 @@ impl Estimator {
     /// runs the network.
     pub fn layer_times(&self) -> Vec<LayerTime> {
         self.network.times()
+    }
+
+    /// What the last picture (before the first, a black one) says about the calibration. Allocates nothing.
+    pub fn plausibility(&self) -> Plausibility {
+        Plausibility::of(
+            &self.table,
+            self.contract.depth_range.max(),
+            &self.depth,
+            self.contract.attention.is_some().then_some(&self.attention),
+        )
     }
 
     /// Estimates the depth of a picture from this estimator's camera.

@@ -19,9 +19,18 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+//!
+//! # Features
+//!
+//! `files` (picture files, [`render`], [`evaluation`]) and `cli` (the command line) are on by default; without them the
+//! crate takes pictures as bytes and depends on neither picture formats nor argument parsing.
+
 pub mod contract;
+#[cfg(feature = "files")]
 pub mod evaluation;
+#[cfg(feature = "files")]
 pub mod picture;
+#[cfg(feature = "files")]
 pub mod render;
 
 mod calibration;
@@ -31,14 +40,16 @@ mod estimator;
 mod heads;
 mod inspection;
 mod model;
+mod plausibility;
 mod preprocess;
 mod resample;
 mod vectors;
 
-pub use calibration::{Calibration, Camera, json, kitti};
+pub use calibration::{Calibration, Camera, Distortion, Numbers, json, kitti};
 pub use engine::{Engine, InspectedNode, Kernel, LayerTime, Place};
 pub use error::Error;
 pub use estimator::{Estimate, Estimator, OutputSize, StageTimes};
 pub use inspection::{InspectedTensor, Inspection, PlanKind, Weights};
 pub use model::{Model, Size};
+pub use plausibility::Plausibility;
 pub use preprocess::{Picture, Placement};

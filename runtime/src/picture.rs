@@ -9,7 +9,7 @@ use image::{DynamicImage, ImageReader, Limits, RgbImage};
 use crate::Error;
 
 /// Longest side that is accepted, pixels.
-pub const MAX_SIDE: u32 = 16384;
+pub const MAX_SIDE: u32 = crate::estimator::MAX_SIDE;
 /// Greatest memory that decoding may take, bytes.
 const MAX_MEMORY: u64 = 1 << 30;
 

@@ -34,6 +34,7 @@ impl<'a> Picture<'a> {
     }
 }
 
+#[cfg(feature = "files")]
 impl<'a> From<&'a image::RgbImage> for Picture<'a> {
     fn from(image: &'a image::RgbImage) -> Self {
         Self {

@@ -8,10 +8,14 @@ use glam::DVec2;
 
 /// How the lens bends rays; coefficients in the order of ROS and OpenCV.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Distortion {
+pub enum Distortion {
+    /// Not at all.
     None,
+    /// ROS `plumb_bob`: k1, k2, p1, p2, k3.
     PlumbBob([f64; 5]),
+    /// ROS `rational_polynomial`: k1, k2, p1, p2, k3, k4, k5, k6.
     RationalPolynomial([f64; 8]),
+    /// ROS `equidistant`, a fisheye: k1, k2, k3, k4.
     Equidistant([f64; 4]),
 }
 

@@ -12,8 +12,7 @@ use std::path::{Path, PathBuf};
 use gedepth_core::camera::{ImageSize, Intrinsics};
 use gedepth_core::{Direction, Extrinsics, Ground, GroundPlane};
 
-pub use camera::Camera;
-use camera::Distortion;
+pub use camera::{Camera, Distortion};
 
 use crate::Error;
 use crate::model::Size;
@@ -21,31 +20,26 @@ use crate::model::Size;
 /// A larger file is no calibration.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
-/// What a file says, before it is checked: any format is brought to this.
-struct Numbers {
-    /// Width and height in pixels, where the file says so.
-    size: Option<Size>,
-    k: [[f64; 3]; 3],
-    distortion: Distortion,
-    /// World to camera.
-    r: [[f64; 3]; 3],
-    t: [f64; 3],
-    /// The ground in the world: `up . p = offset`.
-    up: [f64; 3],
-    offset: f64,
+/// The numbers of a calibration, before they are checked: every format of file is brought to this.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Numbers {
+    /// Width and height of the pictures in pixels, where they are known.
+    pub size: Option<Size>,
+    /// Intrinsics, rows, pixels; integer coordinates are pixel centres.
+    pub k: [[f64; 3]; 3],
+    /// The lens.
+    pub distortion: Distortion,
+    /// World to camera, `p_camera = R p_world + T`: the rows of R.
+    pub r: [[f64; 3]; 3],
+    /// T, metres.
+    pub t: [f64; 3],
+    /// The ground in the world, `up . p_world = offset`: its normal, pointing up.
+    pub up: [f64; 3],
+    /// Metres.
+    pub offset: f64,
 }
 
-/// A calibrated camera over its ground, checked.
-#[derive(Clone, Debug)]
-pub struct Calibration {
-    path: PathBuf,
-    size: Option<Size>,
-    k: [[f64; 3]; 3],
-    distortion: Distortion,
-    ground: Ground,
-}
-
-impl Calibration {
+impl Numbers {
     /// Reads a calibration file. For KITTI raw, `path` is `calib_cam_to_cam.txt`, and `calib_velo_to_cam.txt` is read
     /// beside it.
     pub fn read(path: &Path) -> Result<Self, Error> {
@@ -66,11 +60,32 @@ impl Calibration {
                 )
             }
         };
-        let numbers = numbers.map_err(|reason| Error::CalibrationFormat {
+        numbers.map_err(|reason| Error::CalibrationFormat {
             path: path.to_owned(),
             reason,
-        })?;
-        Self::checked(path, &numbers).map_err(|reason| Error::Calibration {
+        })
+    }
+}
+
+/// A calibrated camera over its ground, checked.
+#[derive(Clone, Debug)]
+pub struct Calibration {
+    path: PathBuf,
+    size: Option<Size>,
+    k: [[f64; 3]; 3],
+    distortion: Distortion,
+    ground: Ground,
+}
+
+impl Calibration {
+    /// Reads a calibration file: [`Numbers::read`], checked.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        Self::new(path, &Numbers::read(path)?)
+    }
+
+    /// Checks the numbers; `path` names them in errors.
+    pub fn new(path: &Path, numbers: &Numbers) -> Result<Self, Error> {
+        Self::checked(path, numbers).map_err(|reason| Error::Calibration {
             path: path.to_owned(),
             reason,
         })

@@ -29,7 +29,8 @@ use crate::estimator::Estimate;
 pub const LEAST_DEPTH_M: f32 = 1e-3;
 
 /// Which part of a picture counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum CropRule {
     /// All of it.
     None,
