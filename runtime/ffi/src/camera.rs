@@ -1,0 +1,618 @@
+//! Cameras: a model bound to a calibration, which takes pictures and writes depth.
+
+use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::time::Instant;
+
+use gedepth::{Error, Estimate, Estimator, OutputSize, Picture};
+
+use crate::calibration::gedepth_calibration;
+use crate::memory::{Array, check_disjoint, close, look, open, read};
+use crate::model::gedepth_model;
+use crate::result::{
+    Failure, GEDEPTH_BUSY, GEDEPTH_DEADLINE, GEDEPTH_NO_ATTENTION, GEDEPTH_OUTPUT_LENGTH,
+    GEDEPTH_PANICKED, GEDEPTH_PICTURE_LENGTH, GEDEPTH_STATISTICS_LENGTH, GEDEPTH_UNKNOWN_CHOICE,
+    GEDEPTH_UNUSED_NOT_ZERO, Result, guarded,
+};
+use crate::statistics::{Statistics, gedepth_statistics};
+
+/// Maps have the picture's size (the region's, where the model crops): the ground is exact in every pixel.
+pub const GEDEPTH_OUTPUT_PICTURE: u32 = 0;
+/// Maps have the network's size: fewer pixels, faster.
+pub const GEDEPTH_OUTPUT_NETWORK: u32 = 1;
+
+/// Runs that statistics keep by default.
+const DEFAULT_RUNS: u32 = 1000;
+/// And at most.
+const MAX_RUNS: u32 = 1_000_000;
+
+/// How a camera is opened; all zeros is the usual.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct gedepth_options {
+    /// Columns of the network's input; with network_height 0, the usual of the model and the picture's proportions.
+    pub network_width: u32,
+    /// Rows of the network's input.
+    pub network_height: u32,
+    /// GEDEPTH_OUTPUT_PICTURE or GEDEPTH_OUTPUT_NETWORK.
+    pub output: u32,
+    /// Runs that the statistics are of, the last ones: 1 to 1000000; 0 is 1000. 48 bytes each.
+    pub statistics_runs: u32,
+    /// 0.
+    pub reserved: [u32; 4],
+}
+
+/// Sizes of an opened camera, in pixels, and what it gives.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct gedepth_shape {
+    /// Columns of the pictures.
+    pub picture_width: u32,
+    /// Rows of the pictures.
+    pub picture_height: u32,
+    /// First column of the region of the picture that the maps cover.
+    pub region_left: u32,
+    /// First row of the region.
+    pub region_top: u32,
+    /// Columns of the region.
+    pub region_width: u32,
+    /// Rows of the region.
+    pub region_height: u32,
+    /// Columns of the network's input.
+    pub network_width: u32,
+    /// Rows of the network's input.
+    pub network_height: u32,
+    /// Columns of the maps.
+    pub map_width: u32,
+    /// Rows of the maps.
+    pub map_height: u32,
+    /// 1 if there is an attention, 0 if not.
+    pub has_attention: u32,
+    /// 0.
+    pub reserved: u32,
+}
+
+/// A picture: red, green, blue, 8 bits each, row by row from the top left.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct gedepth_picture {
+    /// The bytes.
+    pub rgb: *const u8,
+    /// Their number, at least (height - 1) * stride + 3 * width.
+    pub rgb_len: usize,
+    /// Bytes from the start of a row to the start of the next, at least 3 * width; 0 is 3 * width. Other values cost a copy
+    /// of the picture.
+    pub stride: usize,
+    /// Columns: the camera's.
+    pub width: u32,
+    /// Rows: the camera's.
+    pub height: u32,
+}
+
+/// A map to be written, row by row from the top left; with values null, none.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct gedepth_map {
+    /// The values.
+    pub values: *mut f32,
+    /// Their number, at least (map_height - 1) * stride + map_width.
+    pub values_len: usize,
+    /// Values from the start of a row to the start of the next, at least map_width; 0 is map_width. What lies between rows is
+    /// left as it is.
+    pub stride: usize,
+}
+
+/// What a run is to write. Every map may be null.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct gedepth_maps {
+    /// Planar depth, metres: z in the camera's frame.
+    pub depth: gedepth_map,
+    /// Ground depth as the model sees it, metres; 0 where there is none within the model's range.
+    pub ground: gedepth_map,
+    /// Ground attention, 0 to 1: how much of the depth is the ground's.
+    pub attention: gedepth_map,
+}
+
+/// How long a run took, nanoseconds.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct gedepth_times {
+    /// Resampling of the picture.
+    pub preprocess_ns: u64,
+    /// The network.
+    pub network_ns: u64,
+    /// From the network's outputs to depth.
+    pub fusion_ns: u64,
+    /// Copies of a padded picture, and into the caller's maps.
+    pub copy_ns: u64,
+    /// The call, from its start to when its maps were written.
+    pub total_ns: u64,
+}
+
+/// Signs that a calibration and what a picture shows do not belong together, for a monitor to watch over many pictures.
+/// An input to a safety argument, not one: each can be right by chance, and none sees every fault. -1 where there is no
+/// such pixel, or no attention.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct gedepth_plausibility {
+    /// Share of the maps' pixels where the calibration has ground within the model's range. The same for every picture.
+    pub ground_share: f32,
+    /// Share of those where the ground is trusted: the attention is at least 1/2. It falls when the ground is hidden or wet,
+    /// the lens is dirty, or the calibration is of another camera.
+    pub trusted_share: f32,
+    /// Mean attention about the vanishing line, where the ground is farther than the model's range, above the line as
+    /// below. There is no ground to trust there: it rises when the camera's pitch is not the calibration's.
+    pub attention_at_line: f32,
+    /// Mean of |z - z_table| / z_table where the ground is trusted, z the depth, z_table the flat ground's: slope of the road,
+    /// or a wrong pitch or height.
+    pub ground_residual: f32,
+}
+
+/// A model bound to a calibrated camera. One thread at a time: a call during another of the same camera gives GEDEPTH_BUSY.
+/// Different cameras may run at the same time on different threads, and a camera need not stay with one thread.
+pub struct gedepth_camera {
+    shape: gedepth_shape,
+    state: Mutex<State>,
+}
+
+struct State {
+    estimator: Estimator,
+    /// A padded picture without its padding.
+    packed: Vec<u8>,
+    statistics: Statistics,
+}
+
+const _: fn() = || {
+    fn any_thread<T: Send + Sync>() {}
+    any_thread::<gedepth_camera>();
+    any_thread::<gedepth_model>();
+};
+
+impl gedepth_camera {
+    fn new(
+        model: &gedepth_model,
+        calibration: &gedepth_calibration,
+        options: &gedepth_options,
+    ) -> Result<Self> {
+        if options.reserved != [0; 4] {
+            return Err(Failure::new(
+                GEDEPTH_UNUSED_NOT_ZERO,
+                format_args!("options: reserved must be 0"),
+            ));
+        }
+        let output = match options.output {
+            GEDEPTH_OUTPUT_PICTURE => OutputSize::Picture,
+            GEDEPTH_OUTPUT_NETWORK => OutputSize::Network,
+            unknown => {
+                return Err(Failure::new(
+                    GEDEPTH_UNKNOWN_CHOICE,
+                    format_args!("options: output {unknown} is none of GEDEPTH_OUTPUT_*"),
+                ));
+            }
+        };
+        let runs = match options.statistics_runs {
+            0 => DEFAULT_RUNS,
+            runs if runs > MAX_RUNS => {
+                return Err(Failure::new(
+                    GEDEPTH_STATISTICS_LENGTH,
+                    format_args!("options: statistics_runs is {runs}, must be at most {MAX_RUNS}"),
+                ));
+            }
+            runs => runs,
+        };
+        let network = match (options.network_width, options.network_height) {
+            (0, 0) => None,
+            size => Some(size),
+        };
+        let picture = (calibration.width, calibration.height);
+        let calibration = calibration.checked()?;
+        let mut estimator = Estimator::new(&model.model, &calibration, picture, network, output)?;
+        // Not zeros, so that the memory is there, not promised.
+        let packed = vec![1; 3 * picture.0 as usize * picture.1 as usize];
+        let blank = Picture::new(picture, &packed)
+            .ok_or_else(|| Failure::plain(crate::result::GEDEPTH_IMAGE_SIZE))?;
+        let estimate = estimator.run(blank)?;
+        let placement = estimate.placement;
+        let shape = gedepth_shape {
+            picture_width: picture.0,
+            picture_height: picture.1,
+            region_left: placement.left,
+            region_top: placement.top,
+            region_width: placement.region.0,
+            region_height: placement.region.1,
+            network_width: placement.network.0,
+            network_height: placement.network.1,
+            map_width: estimate.size.0,
+            map_height: estimate.size.1,
+            has_attention: estimate.attention.is_some().into(),
+            reserved: 0,
+        };
+        Ok(Self {
+            shape,
+            state: Mutex::new(State {
+                estimator,
+                packed,
+                statistics: Statistics::new(runs as usize),
+            }),
+        })
+    }
+
+    /// This thread's, until the guard is dropped.
+    fn state(&self) -> Result<MutexGuard<'_, State>> {
+        self.state.try_lock().map_err(|e| match e {
+            TryLockError::WouldBlock => Failure::plain(GEDEPTH_BUSY),
+            TryLockError::Poisoned(_) => Failure::plain(GEDEPTH_PANICKED),
+        })
+    }
+
+    /// Runs a picture and writes its maps; its times, and whether that was late.
+    ///
+    /// # Safety
+    /// [The crate's contract](crate#safety).
+    unsafe fn run(
+        &self,
+        start: Instant,
+        picture: *const gedepth_picture,
+        maps: *const gedepth_maps,
+        times: *mut gedepth_times,
+        deadline_ns: u64,
+    ) -> Result<()> {
+        // SAFETY: passed on.
+        let (picture, maps) = unsafe { (read(picture)?, read(maps)?) };
+        let times = match times.is_null() {
+            true => None,
+            false => Some(Array::one(times)?),
+        };
+        let (bytes, picture_stride) = self.bytes(&picture)?;
+        let outputs = [
+            self.output(&maps.depth, "depth")?,
+            self.output(&maps.ground, "ground")?,
+            self.output(&maps.attention, "attention")?,
+        ];
+        if outputs[2].is_some() && self.shape.has_attention == 0 {
+            return Err(Failure::plain(GEDEPTH_NO_ATTENTION));
+        }
+        let mut written = [None; 4];
+        for (span, output) in written.iter_mut().zip(&outputs) {
+            *span = output.as_ref().map(|(array, _)| array.span());
+        }
+        written[3] = times.as_ref().map(Array::span);
+        check_disjoint(written.iter().flatten(), &[bytes.span()])?;
+
+        let mut state = self.state()?;
+        let State {
+            estimator,
+            packed,
+            statistics,
+        } = &mut *state;
+        // SAFETY: passed on.
+        let bytes = unsafe { bytes.slice() };
+        let size = (picture.width, picture.height);
+        let row = 3 * picture.width as usize;
+        let rgb = match picture_stride == row {
+            true => bytes.get(..packed.len()).unwrap_or(bytes),
+            false => {
+                for (to, from) in packed
+                    .chunks_exact_mut(row)
+                    .zip(bytes.chunks(picture_stride))
+                {
+                    to.copy_from_slice(&from[..row]);
+                }
+                packed
+            }
+        };
+        let picture =
+            Picture::new(size, rgb).ok_or_else(|| Failure::plain(GEDEPTH_PICTURE_LENGTH))?;
+        let estimate = estimator.run(picture)?;
+        let Estimate {
+            depth,
+            ground,
+            attention,
+            times: stages,
+            ..
+        } = estimate;
+        let sources = [Some(depth), Some(ground), attention];
+        for (output, source) in outputs.iter().zip(sources) {
+            let (Some((array, stride)), Some(source)) = (output, source) else {
+                continue;
+            };
+            let width = self.shape.map_width as usize;
+            for (row, values) in source.chunks_exact(width).enumerate() {
+                // SAFETY: passed on.
+                unsafe { array.write(row * stride, values) };
+            }
+        }
+        let nanoseconds =
+            |time: std::time::Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+        let total_ns = nanoseconds(start.elapsed());
+        let [preprocess_ns, network_ns, fusion_ns] =
+            [stages.preprocess, stages.network, stages.fusion].map(nanoseconds);
+        let copy_ns = total_ns.saturating_sub(preprocess_ns + network_ns + fusion_ns);
+        if let Some(times) = times {
+            let of_run = gedepth_times {
+                preprocess_ns,
+                network_ns,
+                fusion_ns,
+                copy_ns,
+                total_ns,
+            };
+            // SAFETY: passed on.
+            unsafe { times.write(0, &[of_run]) };
+        }
+        let late = deadline_ns > 0 && total_ns > deadline_ns;
+        statistics.add(
+            [preprocess_ns, network_ns, fusion_ns, copy_ns, total_ns],
+            late,
+        );
+        match late {
+            true => Err(Failure::new(
+                GEDEPTH_DEADLINE,
+                format_args!(
+                    "the run took {total_ns} ns, its deadline was {deadline_ns} ns; its maps are complete"
+                ),
+            )),
+            false => Ok(()),
+        }
+    }
+
+    /// The bytes of a picture of the right size, and the stride.
+    fn bytes(&self, picture: &gedepth_picture) -> Result<(Array<u8>, usize)> {
+        let actual = (picture.width, picture.height);
+        let expected = (self.shape.picture_width, self.shape.picture_height);
+        if actual != expected {
+            return Err(Error::PictureSize { actual, expected }.into());
+        }
+        let bytes = Array::new(picture.rgb, picture.rgb_len)?;
+        let row = 3 * picture.width as usize;
+        let stride = match picture.stride {
+            0 => row,
+            stride => stride,
+        };
+        let needed = needed(picture.height, stride, row);
+        if stride < row || needed.is_none_or(|needed| picture.rgb_len < needed) {
+            return Err(Failure::new(
+                GEDEPTH_PICTURE_LENGTH,
+                format_args!(
+                    "the picture of {} x {} with a stride of {stride} has {} bytes; (height - 1) * stride + {row} are needed, and the stride must be at least {row}",
+                    picture.width, picture.height, picture.rgb_len
+                ),
+            ));
+        }
+        Ok((bytes, stride))
+    }
+
+    /// Where a map goes and its stride; `None` if it is not asked for.
+    fn output(&self, map: &gedepth_map, name: &str) -> Result<Option<(Array<f32>, usize)>> {
+        if map.values.is_null() {
+            return Ok(None);
+        }
+        let values = Array::new(map.values, map.values_len)?;
+        let (width, height) = (self.shape.map_width as usize, self.shape.map_height);
+        let stride = match map.stride {
+            0 => width,
+            stride => stride,
+        };
+        let needed = needed(height, stride, width);
+        if stride < width || needed.is_none_or(|needed| map.values_len < needed) {
+            return Err(Failure::new(
+                GEDEPTH_OUTPUT_LENGTH,
+                format_args!(
+                    "{name} of {width} x {height} with a stride of {stride} has {} values; (height - 1) * stride + {width} are needed, and the stride must be at least {width}",
+                    map.values_len
+                ),
+            ));
+        }
+        Ok(Some((values, stride)))
+    }
+}
+
+/// Elements of `rows` rows (at least one) `stride` apart, the last of them `row` long.
+fn needed(rows: u32, stride: usize, row: usize) -> Option<usize> {
+    (rows as usize - 1).checked_mul(stride)?.checked_add(row)
+}
+
+/// Binds a model to a calibrated camera: plans the network, builds the ground table and runs a black picture, so that all
+/// memory of later runs is there. Takes some 0.1 to 1 s. `options` may be null: the usual. `*camera` is written on success
+/// only. For another calibration open another camera, then close this one.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gedepth_camera_open(
+    model: *const gedepth_model,
+    calibration: *const gedepth_calibration,
+    options: *const gedepth_options,
+    camera: *mut *mut gedepth_camera,
+) -> i32 {
+    guarded(|| {
+        // SAFETY: the crate's contract.
+        let (model, calibration) = unsafe { (look(model)?, read(calibration)?) };
+        let options = match options.is_null() {
+            true => gedepth_options::default(),
+            // SAFETY: as above.
+            false => unsafe { read(options) }?,
+        };
+        // SAFETY: as above.
+        unsafe {
+            open(camera, || {
+                gedepth_camera::new(model, &calibration, &options)
+            })
+        }
+    })
+}
+
+/// The camera's sizes, for the caller to make its maps.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gedepth_camera_shape(
+    camera: *const gedepth_camera,
+    shape: *mut gedepth_shape,
+) -> i32 {
+    guarded(|| {
+        // SAFETY: the crate's contract.
+        let camera = unsafe { look(camera) }?;
+        let shape = Array::one(shape)?;
+        // SAFETY: as above.
+        unsafe { shape.write(0, &[camera.shape]) };
+        Ok(())
+    })
+}
+
+/// Estimates the depth of a picture and writes the maps that are not null. `times` may be null. Where the run takes longer
+/// than `deadline_ns` (0 is none) the result is GEDEPTH_DEADLINE, with everything written; a run is never cut short. After
+/// any other result but GEDEPTH_OK nothing was written. Allocates nothing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gedepth_camera_run(
+    camera: *mut gedepth_camera,
+    picture: *const gedepth_picture,
+    maps: *const gedepth_maps,
+    deadline_ns: u64,
+    times: *mut gedepth_times,
+) -> i32 {
+    let start = Instant::now();
+    guarded(|| {
+        // SAFETY: the crate's contract.
+        unsafe { look(camera.cast_const())?.run(start, picture, maps, times, deadline_ns) }
+    })
+}
+
+/// Percentiles of the camera's last runs. Allocates nothing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gedepth_camera_statistics(
+    camera: *const gedepth_camera,
+    statistics: *mut gedepth_statistics,
+) -> i32 {
+    guarded(|| {
+        // SAFETY: the crate's contract.
+        let camera = unsafe { look(camera) }?;
+        let statistics = Array::one(statistics)?;
+        let summary = camera.state()?.statistics.summary();
+        // SAFETY: as above.
+        unsafe { statistics.write(0, &[summary]) };
+        Ok(())
+    })
+}
+
+/// What the camera's last picture says about its calibration (before the first, a blank one). Allocates nothing; takes less
+/// than 1 ms for a megapixel of maps.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gedepth_camera_plausibility(
+    camera: *const gedepth_camera,
+    plausibility: *mut gedepth_plausibility,
+) -> i32 {
+    guarded(|| {
+        // SAFETY: the crate's contract.
+        let camera = unsafe { look(camera) }?;
+        let plausibility = Array::one(plausibility)?;
+        let of_last = camera.state()?.estimator.plausibility();
+        let none = -1.0;
+        let of_last = gedepth_plausibility {
+            ground_share: of_last.ground_share,
+            trusted_share: of_last.trusted_share.unwrap_or(none),
+            attention_at_line: of_last.attention_at_line.unwrap_or(none),
+            ground_residual: of_last.ground_residual.unwrap_or(none),
+        };
+        // SAFETY: as above.
+        unsafe { plausibility.write(0, &[of_last]) };
+        Ok(())
+    })
+}
+
+/// Closes a camera and ends its threads; null is none. No other call may be using it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gedepth_camera_close(camera: *mut gedepth_camera) {
+    guarded(|| {
+        // SAFETY: the crate's contract.
+        unsafe { close(camera) };
+        Ok(())
+    });
+}
+
+#[cfg(test)]
+#[allow(clippy::panic)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+    use std::ptr::{null, null_mut};
+
+    use super::*;
+    use crate::calibration::GEDEPTH_PINHOLE;
+    use crate::model::{gedepth_model_close, gedepth_model_open_embedded};
+    use crate::result::GEDEPTH_OK;
+
+    #[test]
+    fn a_camera_in_use_is_busy_and_one_that_panicked_is_refused() {
+        let calibration = gedepth_calibration {
+            width: 32,
+            height: 32,
+            distortion: GEDEPTH_PINHOLE,
+            reserved: 0,
+            fx: 30.0,
+            fy: 30.0,
+            cx: 15.5,
+            cy: 15.5,
+            skew: 0.0,
+            coefficients: [0.0; 8],
+            r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            t: [0.0; 3],
+            plane_up: [0.0, -1.0, 0.0],
+            plane_offset: -1.5,
+        };
+        let options = gedepth_options {
+            network_width: 32,
+            network_height: 32,
+            ..Default::default()
+        };
+        let (mut model, mut camera) = (null_mut(), null_mut());
+        let rgb = [9; 3 * 32 * 32];
+        let picture = gedepth_picture {
+            rgb: rgb.as_ptr(),
+            rgb_len: rgb.len(),
+            stride: 0,
+            width: 32,
+            height: 32,
+        };
+        let none = gedepth_map {
+            values: null_mut(),
+            values_len: 0,
+            stride: 0,
+        };
+        let mut depth = [-1.0; 32 * 32];
+        let maps = gedepth_maps {
+            depth: gedepth_map {
+                values: depth.as_mut_ptr(),
+                values_len: depth.len(),
+                stride: 0,
+            },
+            ground: none,
+            attention: none,
+        };
+        // SAFETY: all of this function's; closed at its end.
+        unsafe {
+            assert_eq!(gedepth_model_open_embedded(0, 1, &mut model), GEDEPTH_OK);
+            let opened = gedepth_camera_open(model, &calibration, &options, &mut camera);
+            assert_eq!(opened, GEDEPTH_OK);
+            let run = || gedepth_camera_run(camera, &picture, &maps, 0, null_mut());
+            let mut statistics = gedepth_statistics::default();
+
+            let in_use = look(camera.cast_const()).map(gedepth_camera::state);
+            assert_eq!(run(), GEDEPTH_BUSY);
+            assert_eq!(
+                gedepth_camera_statistics(camera, &mut statistics),
+                GEDEPTH_BUSY
+            );
+            drop(in_use);
+            assert!(depth.iter().all(|&z| z == -1.0));
+            assert_eq!(run(), GEDEPTH_OK);
+            assert!(depth.iter().all(|&z| z > 0.0));
+
+            let panicked = catch_unwind(AssertUnwindSafe(|| {
+                let _in_use = look(camera.cast_const()).map(gedepth_camera::state);
+                panic!("as a fault of the library would");
+            }));
+            assert!(panicked.is_err());
+            assert_eq!(run(), GEDEPTH_PANICKED);
+            assert_eq!(
+                gedepth_camera_open(model, null(), &options, &mut camera),
+                crate::result::GEDEPTH_NULL_POINTER
+            );
+            gedepth_camera_close(camera);
+            gedepth_model_close(model);
+        }
+    }
+}

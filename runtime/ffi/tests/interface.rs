@@ -1,0 +1,899 @@
+//! What the C interface promises, through its exports.
+#![allow(clippy::unwrap_used)]
+
+use std::collections::BTreeSet;
+use std::ffi::{CStr, CString};
+use std::path::{Path, PathBuf};
+use std::ptr::{null, null_mut};
+
+use gedepth::{Calibration, Distortion, Estimator, Model, Numbers, OutputSize, Picture};
+use gedepth_ffi::calibration::*;
+use gedepth_ffi::camera::*;
+use gedepth_ffi::model::*;
+use gedepth_ffi::result::*;
+use gedepth_ffi::statistics::gedepth_statistics;
+
+const SIZE: (u32, u32) = (150, 60);
+const NETWORK: (u32, u32) = (64, 32);
+const PIXELS: usize = 150 * 60;
+
+/// A camera 1.65 m over the ground, looking 2 degrees down.
+fn calibration() -> gedepth_calibration {
+    let (sin, cos) = 2.0_f64.to_radians().sin_cos();
+    gedepth_calibration {
+        width: SIZE.0,
+        height: SIZE.1,
+        distortion: GEDEPTH_PINHOLE,
+        reserved: 0,
+        fx: 90.0,
+        fy: 91.0,
+        cx: 74.0,
+        cy: 27.0,
+        skew: 0.1,
+        coefficients: [0.0; 8],
+        r: [0.0, -1.0, 0.0, -sin, 0.0, -cos, cos, 0.0, -sin],
+        t: [0.0; 3],
+        plane_up: [0.0, 0.0, 2.0],
+        // Metres, whatever the normal's length.
+        plane_offset: -1.65,
+    }
+}
+
+fn options(output: u32) -> gedepth_options {
+    gedepth_options {
+        network_width: NETWORK.0,
+        network_height: NETWORK.1,
+        output,
+        ..Default::default()
+    }
+}
+
+/// Bytes without pattern, but smooth enough for a network to see something.
+fn noise(seed: u32) -> Vec<u8> {
+    let mut state = seed;
+    (0..3 * PIXELS)
+        .map(|i| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            ((i / 450 * 3) as u8).wrapping_add((state >> 26) as u8)
+        })
+        .collect()
+}
+
+fn picture(rgb: &[u8]) -> gedepth_picture {
+    gedepth_picture {
+        rgb: rgb.as_ptr(),
+        rgb_len: rgb.len(),
+        stride: 0,
+        width: SIZE.0,
+        height: SIZE.1,
+    }
+}
+
+const NONE: gedepth_map = gedepth_map {
+    values: null_mut(),
+    values_len: 0,
+    stride: 0,
+};
+
+fn map(values: &mut [f32], stride: usize) -> gedepth_map {
+    gedepth_map {
+        values: values.as_mut_ptr(),
+        values_len: values.len(),
+        stride,
+    }
+}
+
+fn only_depth(depth: &mut [f32]) -> gedepth_maps {
+    gedepth_maps {
+        depth: map(depth, 0),
+        ground: NONE,
+        attention: NONE,
+    }
+}
+
+fn last_error() -> String {
+    // SAFETY: ends with a zero; copied before anything else fails.
+    unsafe { CStr::from_ptr(gedepth_last_error()) }
+        .to_str()
+        .unwrap()
+        .to_owned()
+}
+
+fn fixtures() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures")
+}
+
+fn c_path(path: &Path) -> CString {
+    CString::new(path.to_str().unwrap()).unwrap()
+}
+
+struct Handle(*mut gedepth_model);
+
+impl Handle {
+    fn embedded() -> Self {
+        let mut model = null_mut();
+        // SAFETY: `model` is this function's.
+        let opened = unsafe { gedepth_model_open_embedded(GEDEPTH_KERNEL_BEST, 1, &mut model) };
+        assert_eq!(opened, GEDEPTH_OK);
+        Self(model)
+    }
+}
+
+impl Drop for Handle {
+    fn drop(&mut self) {
+        // SAFETY: opened by the library, closed once.
+        unsafe { gedepth_model_close(self.0) }
+    }
+}
+
+struct Camera(*mut gedepth_camera);
+
+// SAFETY: the library's promise, which these tests are of.
+unsafe impl Send for Camera {}
+
+impl Camera {
+    fn open(
+        model: &Handle,
+        calibration: &gedepth_calibration,
+        options: &gedepth_options,
+    ) -> Result<Self, i32> {
+        let mut camera = null_mut();
+        // SAFETY: all of it is the caller's.
+        match unsafe { gedepth_camera_open(model.0, calibration, options, &mut camera) } {
+            GEDEPTH_OK => Ok(Self(camera)),
+            result => {
+                assert!(camera.is_null());
+                Err(result)
+            }
+        }
+    }
+
+    fn usual() -> Self {
+        Self::open(&Handle::embedded(), &calibration(), &options(0)).unwrap()
+    }
+
+    fn run(&self, picture: &gedepth_picture, maps: &gedepth_maps, deadline_ns: u64) -> i32 {
+        // SAFETY: all of it is the caller's.
+        unsafe { gedepth_camera_run(self.0, picture, maps, deadline_ns, null_mut()) }
+    }
+
+    fn depth(&self, rgb: &[u8]) -> Vec<f32> {
+        let mut depth = vec![-1.0; PIXELS];
+        let result = self.run(&picture(rgb), &only_depth(&mut depth), 0);
+        assert_eq!(result, GEDEPTH_OK, "{}", last_error());
+        depth
+    }
+
+    fn statistics(&self) -> gedepth_statistics {
+        let mut statistics = gedepth_statistics::default();
+        // SAFETY: `statistics` is this function's.
+        let result = unsafe { gedepth_camera_statistics(self.0, &mut statistics) };
+        assert_eq!(result, GEDEPTH_OK);
+        statistics
+    }
+}
+
+impl Drop for Camera {
+    fn drop(&mut self) {
+        // SAFETY: opened by the library, closed once.
+        unsafe { gedepth_camera_close(self.0) }
+    }
+}
+
+/// Depth, ground and attention by way of the Rust interface.
+fn expected(rgb: &[u8], output: OutputSize) -> [Vec<f32>; 3] {
+    let c = calibration();
+    let numbers = Numbers {
+        size: Some(SIZE),
+        k: [[c.fx, c.skew, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]],
+        distortion: Distortion::None,
+        r: [
+            [c.r[0], c.r[1], c.r[2]],
+            [c.r[3], c.r[4], c.r[5]],
+            [c.r[6], c.r[7], c.r[8]],
+        ],
+        t: c.t,
+        up: c.plane_up,
+        offset: c.plane_offset,
+    };
+    let calibration = Calibration::new(Path::new("numbers"), &numbers).unwrap();
+    let model = Model::embedded().unwrap();
+    let mut estimator = Estimator::new(&model, &calibration, SIZE, Some(NETWORK), output).unwrap();
+    let estimate = estimator.run(Picture::new(SIZE, rgb).unwrap()).unwrap();
+    [
+        estimate.depth.to_vec(),
+        estimate.ground.to_vec(),
+        estimate.attention.unwrap().to_vec(),
+    ]
+}
+
+/// Held: never changed, never used again.
+#[test]
+fn numbers_of_the_interface() {
+    let numbers = [
+        (GEDEPTH_OK, 0),
+        (GEDEPTH_NULL_POINTER, 1),
+        (GEDEPTH_MISALIGNED, 2),
+        (GEDEPTH_OVERLAP, 3),
+        (GEDEPTH_TOO_LONG, 4),
+        (GEDEPTH_UNKNOWN_CHOICE, 7),
+        (GEDEPTH_UNUSED_NOT_ZERO, 8),
+        (GEDEPTH_DEADLINE, 30),
+        (GEDEPTH_KERNEL_NOT_SUPPORTED, 31),
+        (GEDEPTH_THREADS, 32),
+        (GEDEPTH_NO_ATTENTION, 33),
+        (GEDEPTH_BUSY, 34),
+        (GEDEPTH_PANICKED, 35),
+        (GEDEPTH_PICTURE_LENGTH, 36),
+        (GEDEPTH_PATH, 37),
+        (GEDEPTH_STATISTICS_LENGTH, 38),
+        (GEDEPTH_IMAGE_SIZE, 101),
+        (GEDEPTH_FOCAL_LENGTH, 102),
+        (GEDEPTH_PRINCIPAL_POINT, 103),
+        (GEDEPTH_SKEW, 104),
+        (GEDEPTH_INTRINSIC_MATRIX, 105),
+        (GEDEPTH_DISTORTION_COEFFICIENT, 106),
+        (GEDEPTH_DIRECTION_WITHOUT_LENGTH, 201),
+        (GEDEPTH_NOT_A_ROTATION, 202),
+        (GEDEPTH_REFLECTION, 203),
+        (GEDEPTH_TRANSLATION, 204),
+        (GEDEPTH_PLANE_OFFSET, 301),
+        (GEDEPTH_CAMERA_NOT_ABOVE_GROUND, 302),
+        (GEDEPTH_OUTPUT_LENGTH, 607),
+        (GEDEPTH_PICTURE_SIZE, 803),
+        (GEDEPTH_PICTURE_UNFIT, 804),
+        (GEDEPTH_NETWORK_SIZE, 805),
+        (GEDEPTH_CALIBRATION_READ, 821),
+        (GEDEPTH_CALIBRATION_FORMAT, 822),
+        (GEDEPTH_MODEL_READ, 841),
+        (GEDEPTH_CONTRACT, 842),
+        (GEDEPTH_MODEL, 843),
+    ];
+    for (constant, number) in numbers {
+        assert_eq!(constant, number);
+    }
+    assert_eq!(all().collect::<Vec<_>>(), numbers.map(|(_, number)| number));
+    // SAFETY: texts are static and end with a zero.
+    let text = |result| unsafe { CStr::from_ptr(gedepth_result_text(result)) };
+    let texts: BTreeSet<_> = all().map(text).collect();
+    assert_eq!(texts.len(), numbers.len());
+    assert!(!texts.contains(c"unknown result"));
+    assert_eq!(text(-1), c"unknown result");
+}
+
+/// The sizes that the header checks on the side of C.
+#[test]
+fn layouts_of_the_interface() {
+    let pointers = size_of::<usize>();
+    let sizes = [
+        (size_of::<gedepth_calibration>(), 248),
+        (size_of::<gedepth_options>(), 32),
+        (size_of::<gedepth_shape>(), 48),
+        (size_of::<gedepth_picture>(), 3 * pointers + 8),
+        (size_of::<gedepth_maps>(), 9 * pointers),
+        (size_of::<gedepth_plausibility>(), 16),
+        (size_of::<gedepth_times>(), 40),
+        (size_of::<gedepth_statistics>(), 144),
+    ];
+    for (size, expected) in sizes {
+        assert_eq!(size, expected);
+    }
+    assert_eq!(gedepth_ffi::gedepth_abi_version(), 1);
+}
+
+#[test]
+fn maps_are_those_of_the_rust_interface_with_any_strides() {
+    let rgb = noise(1);
+    for (output, size) in [
+        (GEDEPTH_OUTPUT_PICTURE, SIZE),
+        (GEDEPTH_OUTPUT_NETWORK, NETWORK),
+    ] {
+        let camera = Camera::open(&Handle::embedded(), &calibration(), &options(output)).unwrap();
+        let mut shape = gedepth_shape::default();
+        // SAFETY: `shape` is this function's.
+        let result = unsafe { gedepth_camera_shape(camera.0, &mut shape) };
+        assert_eq!(result, GEDEPTH_OK);
+        assert_eq!((shape.map_width, shape.map_height), size);
+        assert_eq!((shape.picture_width, shape.picture_height), SIZE);
+        assert_eq!((shape.network_width, shape.network_height), NETWORK);
+        assert_eq!(shape.has_attention, 1);
+        let expected = expected(
+            &rgb,
+            match output {
+                GEDEPTH_OUTPUT_PICTURE => OutputSize::Picture,
+                _ => OutputSize::Network,
+            },
+        );
+        let (width, height) = (size.0 as usize, size.1 as usize);
+        for padding in [0, 7] {
+            // The last row ends with its last pixel, in the picture and in the maps.
+            let row = 3 * SIZE.0 as usize;
+            let padded: Vec<u8> = rgb
+                .chunks(row)
+                .flat_map(|row| row.iter().copied().chain(vec![77; padding]))
+                .collect();
+            let padded = &padded[..padded.len() - padding];
+            let strided = gedepth_picture {
+                stride: row + padding,
+                ..picture(padded)
+            };
+            let stride = width + padding;
+            let mut maps = [(); 3].map(|()| vec![-7.0_f32; stride * (height - 1) + width]);
+            let [depth, ground, attention] = &mut maps;
+            let into = gedepth_maps {
+                depth: map(depth, stride),
+                ground: map(ground, stride),
+                attention: map(attention, stride),
+            };
+            assert_eq!(
+                camera.run(&strided, &into, 0),
+                GEDEPTH_OK,
+                "{}",
+                last_error()
+            );
+            for (map, expected) in maps.iter().zip(&expected) {
+                for (row, expected) in map.chunks(stride).zip(expected.chunks(width)) {
+                    assert_eq!(&row[..width], expected);
+                    assert!(row[width..].iter().all(|&value| value == -7.0));
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_done_is_refused_by_number_and_nothing_is_written() {
+    let camera = Camera::usual();
+    let rgb = noise(2);
+    let mut depth = vec![-1.0; PIXELS + 8];
+    let mut ground = vec![-1.0; PIXELS];
+    let good = picture(&rgb);
+    let depth_map = map(&mut depth, 0);
+    let ground_map = map(&mut ground, 0);
+    let maps = |depth, ground| gedepth_maps {
+        depth,
+        ground,
+        attention: NONE,
+    };
+    let row = 3 * SIZE.0 as usize;
+    let inside = |by: usize| gedepth_map {
+        values: depth_map.values.wrapping_add(by),
+        values_len: PIXELS,
+        stride: 0,
+    };
+    let pictures = [
+        (
+            gedepth_picture {
+                rgb: null(),
+                ..good
+            },
+            GEDEPTH_NULL_POINTER,
+        ),
+        (
+            gedepth_picture {
+                rgb_len: usize::MAX,
+                ..good
+            },
+            GEDEPTH_TOO_LONG,
+        ),
+        (
+            gedepth_picture {
+                rgb_len: rgb.len() - 1,
+                ..good
+            },
+            GEDEPTH_PICTURE_LENGTH,
+        ),
+        (
+            gedepth_picture {
+                stride: row - 1,
+                ..good
+            },
+            GEDEPTH_PICTURE_LENGTH,
+        ),
+        (
+            gedepth_picture {
+                stride: row + 1,
+                ..good
+            },
+            GEDEPTH_PICTURE_LENGTH,
+        ),
+        (
+            gedepth_picture {
+                stride: usize::MAX,
+                ..good
+            },
+            GEDEPTH_PICTURE_LENGTH,
+        ),
+        (gedepth_picture { width: 0, ..good }, GEDEPTH_PICTURE_SIZE),
+        (
+            gedepth_picture {
+                width: SIZE.1,
+                height: SIZE.0,
+                ..good
+            },
+            GEDEPTH_PICTURE_SIZE,
+        ),
+        (
+            gedepth_picture {
+                rgb: depth_map.values.cast(),
+                ..good
+            },
+            GEDEPTH_OVERLAP,
+        ),
+    ];
+    for (picture, result) in pictures {
+        assert_eq!(
+            camera.run(&picture, &maps(depth_map, ground_map), 0),
+            result
+        );
+    }
+    let outputs = [
+        (
+            maps(
+                gedepth_map {
+                    values_len: PIXELS - 1,
+                    ..depth_map
+                },
+                NONE,
+            ),
+            GEDEPTH_OUTPUT_LENGTH,
+        ),
+        (
+            maps(
+                gedepth_map {
+                    stride: SIZE.0 as usize - 1,
+                    ..depth_map
+                },
+                NONE,
+            ),
+            GEDEPTH_OUTPUT_LENGTH,
+        ),
+        (
+            maps(
+                gedepth_map {
+                    stride: usize::MAX / 2,
+                    ..depth_map
+                },
+                NONE,
+            ),
+            GEDEPTH_OUTPUT_LENGTH,
+        ),
+        (
+            maps(
+                gedepth_map {
+                    values: depth_map.values.wrapping_byte_add(2),
+                    ..depth_map
+                },
+                NONE,
+            ),
+            GEDEPTH_MISALIGNED,
+        ),
+        (
+            maps(
+                gedepth_map {
+                    values_len: usize::MAX / 4,
+                    ..depth_map
+                },
+                NONE,
+            ),
+            GEDEPTH_TOO_LONG,
+        ),
+        (maps(inside(0), inside(0)), GEDEPTH_OVERLAP),
+        (maps(inside(8), inside(0)), GEDEPTH_OVERLAP),
+    ];
+    for (maps, result) in outputs {
+        assert_eq!(camera.run(&good, &maps, 0), result);
+    }
+    // SAFETY: what is not null is this function's.
+    unsafe {
+        let good_maps = maps(depth_map, ground_map);
+        let run = gedepth_camera_run;
+        for result in [
+            run(null_mut(), &good, &good_maps, 0, null_mut()),
+            run(camera.0, null(), &good_maps, 0, null_mut()),
+            run(camera.0, &good, null(), 0, null_mut()),
+            gedepth_camera_shape(camera.0, null_mut()),
+            gedepth_camera_shape(null(), null_mut()),
+            gedepth_camera_statistics(camera.0, null_mut()),
+            gedepth_camera_plausibility(camera.0, null_mut()),
+            gedepth_camera_open(null(), &calibration(), null(), null_mut()),
+            gedepth_calibration_read(null(), null_mut()),
+            gedepth_model_open_embedded(0, 0, null_mut()),
+            gedepth_model_open_file(null(), 0, 0, null_mut()),
+            gedepth_model_open_memory(null(), 8, 0, 0, null_mut()),
+        ] {
+            assert_eq!(result, GEDEPTH_NULL_POINTER);
+        }
+        let in_depth = depth_map.values.cast::<gedepth_times>();
+        assert_eq!(
+            run(
+                camera.0,
+                &good,
+                &good_maps,
+                0,
+                in_depth.wrapping_byte_add(4)
+            ),
+            GEDEPTH_MISALIGNED
+        );
+        // No handle: nothing to close.
+        gedepth_camera_close(null_mut());
+        gedepth_model_close(null_mut());
+    }
+    assert!(depth.iter().chain(&ground).all(|&value| value == -1.0));
+    assert_eq!(camera.statistics().runs, 0);
+    // And the camera is as good as ever.
+    assert_eq!(camera.depth(&rgb), expected(&rgb, OutputSize::Picture)[0]);
+}
+
+#[test]
+fn a_late_run_says_so_gives_its_depth_and_leaves_the_next_sound() {
+    let camera = Camera::usual();
+    let [one, other] = [noise(3), noise(4)];
+    let [first, second] = [&one, &other].map(|rgb| camera.depth(rgb));
+    assert_ne!(first, second);
+    let mut depth = vec![-1.0; PIXELS];
+    let mut times = gedepth_times::default();
+    // SAFETY: all of it is this function's.
+    let late = unsafe {
+        let maps = only_depth(&mut depth);
+        gedepth_camera_run(camera.0, &picture(&one), &maps, 1, &mut times)
+    };
+    assert_eq!(late, GEDEPTH_DEADLINE);
+    assert!(last_error().contains("its deadline was 1 ns"));
+    assert_eq!(depth, first);
+    let stages = times.preprocess_ns + times.network_ns + times.fusion_ns + times.copy_ns;
+    assert_eq!(stages, times.total_ns);
+    let in_time = camera.run(&picture(&other), &only_depth(&mut depth), u64::MAX);
+    assert_eq!(in_time, GEDEPTH_OK);
+    assert_eq!(depth, second);
+    let statistics = camera.statistics();
+    assert_eq!(
+        (statistics.runs, statistics.late, statistics.window),
+        (4, 1, 4)
+    );
+    assert!(statistics.total.max_ns >= times.total_ns);
+    assert!(statistics.total.p50_ns <= statistics.total.p99_ns);
+}
+
+#[test]
+fn plausibility_is_that_of_the_maps_against_the_flat_ground() {
+    let camera = Camera::usual();
+    let rgb = noise(10);
+    let [mut depth, mut attention] = [(); 2].map(|()| vec![-1.0; PIXELS]);
+    let maps = gedepth_maps {
+        depth: map(&mut depth, 0),
+        ground: NONE,
+        attention: map(&mut attention, 0),
+    };
+    assert_eq!(camera.run(&picture(&rgb), &maps, 0), GEDEPTH_OK);
+    let mut seen = gedepth_plausibility::default();
+    // SAFETY: `seen` is this function's.
+    let result = unsafe { gedepth_camera_plausibility(camera.0, &mut seen) };
+    assert_eq!(result, GEDEPTH_OK);
+
+    // 1 / z of the ground from the camera's numbers alone: 1.65 m high, 2 degrees down.
+    let c = calibration();
+    let (sin, cos) = 2.0_f64.to_radians().sin_cos();
+    let inverse = |index: usize| {
+        let v = (index / SIZE.0 as usize) as f64;
+        ((v - c.cy) / c.fy * cos + sin) / 1.65
+    };
+    let of = |what: &dyn Fn(f64) -> bool| (0..PIXELS).filter(|&i| what(inverse(i))).collect();
+    let ground: Vec<usize> = of(&|inverse| inverse >= 1.0 / 80.0);
+    let line: Vec<usize> = of(&|inverse| inverse.abs() < 1.0 / 80.0);
+    let trusted = || ground.iter().copied().filter(|&i| attention[i] >= 0.5);
+    let close = |seen: f32, sum: f64, count: usize| {
+        let expected = if count == 0 { -1.0 } else { sum / count as f64 };
+        assert!(
+            (f64::from(seen) - expected).abs() < 1e-4,
+            "{seen} {expected}"
+        );
+    };
+    assert!(!ground.is_empty() && !line.is_empty());
+    close(seen.ground_share, ground.len() as f64, PIXELS);
+    close(seen.trusted_share, trusted().count() as f64, ground.len());
+    let attentions = line.iter().map(|&i| f64::from(attention[i])).sum();
+    close(seen.attention_at_line, attentions, line.len());
+    let residuals = trusted().map(|i| (f64::from(depth[i]) * inverse(i) - 1.0).abs());
+    close(seen.ground_residual, residuals.sum(), trusted().count());
+}
+
+#[test]
+fn cameras_on_two_threads_do_not_meet() {
+    let rgb = [noise(5), noise(6)];
+    let model = Handle::embedded();
+    let cameras = [0, 1].map(|_| Camera::open(&model, &calibration(), &options(0)).unwrap());
+    // Cameras need no model any more.
+    drop(model);
+    let alone = [0, 1].map(|i| cameras[i].depth(&rgb[i]));
+    std::thread::scope(|scope| {
+        for ((camera, rgb), alone) in cameras.into_iter().zip(&rgb).zip(&alone) {
+            scope.spawn(move || {
+                let camera = camera;
+                for _ in 0..200 {
+                    assert_eq!(&camera.depth(rgb), alone);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn models_come_from_files_and_memory_and_bad_ones_by_number() {
+    let mut model = null_mut();
+    let path = fixtures().join("models/baseline-int8.onnx");
+    let bytes = std::fs::read(&path).unwrap();
+    let rgb = noise(7);
+    let mut depths = Vec::new();
+    let (file, text, missing) = (
+        c_path(&path),
+        c_path(&fixtures().join("README.md")),
+        c_path(&fixtures().join("no-such.onnx")),
+    );
+    // SAFETY: all of it is this function's.
+    unsafe {
+        for memory in [false, true] {
+            let opened = match memory {
+                false => gedepth_model_open_file(file.as_ptr(), 0, 1, &mut model),
+                true => gedepth_model_open_memory(bytes.as_ptr(), bytes.len(), 0, 1, &mut model),
+            };
+            assert_eq!(opened, GEDEPTH_OK);
+            let handle = Handle(model);
+            let camera = Camera::open(&handle, &calibration(), &options(0)).unwrap();
+            depths.push(camera.depth(&rgb));
+            let mut attention = vec![0.0; PIXELS];
+            let maps = gedepth_maps {
+                depth: NONE,
+                ground: NONE,
+                attention: map(&mut attention, 0),
+            };
+            assert_eq!(camera.run(&picture(&rgb), &maps, 0), GEDEPTH_NO_ATTENTION);
+        }
+        assert_eq!(depths[0], depths[1]);
+
+        model = null_mut();
+        for (opened, result) in [
+            (
+                gedepth_model_open_file(text.as_ptr(), 0, 0, &mut model),
+                GEDEPTH_MODEL,
+            ),
+            (
+                gedepth_model_open_file(missing.as_ptr(), 0, 0, &mut model),
+                GEDEPTH_MODEL_READ,
+            ),
+            (
+                gedepth_model_open_memory(bytes.as_ptr(), bytes.len() / 2, 0, 0, &mut model),
+                GEDEPTH_MODEL,
+            ),
+            (
+                gedepth_model_open_embedded(99, 0, &mut model),
+                GEDEPTH_UNKNOWN_CHOICE,
+            ),
+            (
+                gedepth_model_open_embedded(0, 65, &mut model),
+                GEDEPTH_THREADS,
+            ),
+        ] {
+            assert_eq!(opened, result, "{}", last_error());
+        }
+        let other_processors = match cfg!(target_arch = "x86_64") {
+            true => GEDEPTH_KERNEL_NEON,
+            false => GEDEPTH_KERNEL_AVX2,
+        };
+        assert_eq!(
+            gedepth_model_open_embedded(other_processors, 0, &mut model),
+            GEDEPTH_KERNEL_NOT_SUPPORTED
+        );
+        assert!(model.is_null());
+    }
+}
+
+#[test]
+fn kernels_and_threads_do_not_change_the_depth() {
+    let rgb = noise(8);
+    let best = Camera::usual().depth(&rgb);
+    let mut ran = 0;
+    for kernel in GEDEPTH_KERNEL_PORTABLE..=GEDEPTH_KERNEL_NEON_I8MM {
+        let mut model = null_mut();
+        // SAFETY: `model` is this function's.
+        match unsafe { gedepth_model_open_embedded(kernel, 3, &mut model) } {
+            GEDEPTH_OK => {
+                let model = Handle(model);
+                let camera = Camera::open(&model, &calibration(), &options(0)).unwrap();
+                assert_eq!(camera.depth(&rgb), best, "kernel {kernel}");
+                ran += 1;
+            }
+            result => assert_eq!(result, GEDEPTH_KERNEL_NOT_SUPPORTED),
+        }
+    }
+    assert!(ran >= 2);
+}
+
+#[test]
+fn calibration_files_give_their_numbers() {
+    let path = fixtures().join("scenes/street/calibration.json");
+    let numbers = Numbers::read(&path).unwrap();
+    let mut read = gedepth_calibration {
+        reserved: 9,
+        ..calibration()
+    };
+    // SAFETY: all of it is this function's.
+    unsafe {
+        let result = gedepth_calibration_read(c_path(&path).as_ptr(), &mut read);
+        assert_eq!(result, GEDEPTH_OK);
+        assert_eq!(Some((read.width, read.height)), numbers.size);
+        assert_eq!((read.distortion, read.reserved), (GEDEPTH_PINHOLE, 0));
+        let k = [
+            [read.fx, read.skew, read.cx],
+            [0.0, read.fy, read.cy],
+            [0.0, 0.0, 1.0],
+        ];
+        assert_eq!(k, numbers.k);
+        assert_eq!(read.r.as_slice(), numbers.r.as_flattened());
+        assert_eq!((read.t, read.plane_up), (numbers.t, numbers.up));
+        assert_eq!(read.plane_offset, numbers.offset);
+
+        let before = read.fx;
+        for (path, result) in [
+            ("no-such.json", GEDEPTH_CALIBRATION_READ),
+            ("README.md", GEDEPTH_CALIBRATION_FORMAT),
+        ] {
+            let path = c_path(&fixtures().join(path));
+            assert_eq!(gedepth_calibration_read(path.as_ptr(), &mut read), result);
+        }
+        assert_eq!(read.fx, before);
+    }
+}
+
+/// The numbers of a calibration, to be changed one by one.
+fn number(calibration: &mut gedepth_calibration, index: usize) -> Option<&mut f64> {
+    let c = calibration;
+    [&mut c.fx, &mut c.fy, &mut c.cx, &mut c.cy, &mut c.skew]
+        .into_iter()
+        .chain(&mut c.coefficients)
+        .chain(&mut c.r)
+        .chain(&mut c.t)
+        .chain(&mut c.plane_up)
+        .chain([&mut c.plane_offset])
+        .nth(index)
+}
+
+#[test]
+fn every_poisoned_number_is_refused_by_a_known_result_or_gives_finite_depth() {
+    let model = Handle::embedded();
+    let tiny = gedepth_options {
+        network_width: 32,
+        network_height: 32,
+        output: GEDEPTH_OUTPUT_NETWORK,
+        ..Default::default()
+    };
+    let known: BTreeSet<i32> = all().collect();
+    let rgb = noise(9);
+    let try_it = |poisoned: &gedepth_calibration| match Camera::open(&model, poisoned, &tiny) {
+        Err(result) => {
+            assert!(known.contains(&result), "{result}: {poisoned:?}");
+            assert!(!last_error().is_empty());
+            false
+        }
+        Ok(camera) => {
+            let mut depth = [-1.0; 32 * 32];
+            let picture = gedepth_picture {
+                width: poisoned.width,
+                height: poisoned.height,
+                ..picture(&rgb)
+            };
+            let result = camera.run(&picture, &only_depth(&mut depth), 0);
+            if result != GEDEPTH_PICTURE_LENGTH {
+                assert_eq!(result, GEDEPTH_OK, "{}", last_error());
+                assert!(depth.iter().all(|z| z.is_finite() && *z > 0.0));
+            }
+            true
+        }
+    };
+    let lenses = [
+        (GEDEPTH_PINHOLE, [0.0; 8]),
+        (
+            GEDEPTH_BROWN_CONRADY,
+            [-0.3, 0.1, 1e-3, -1e-3, -0.01, 0.01, 0.0, 0.0],
+        ),
+        (
+            GEDEPTH_KANNALA_BRANDT,
+            [-0.01, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        ),
+    ];
+    for (distortion, coefficients) in lenses {
+        let good = gedepth_calibration {
+            distortion,
+            coefficients,
+            ..calibration()
+        };
+        assert!(try_it(&good), "{}", last_error());
+        let mut index = 0;
+        while number(&mut good.clone(), index).is_some() {
+            let poisons = [
+                f64::NAN,
+                f64::INFINITY,
+                f64::NEG_INFINITY,
+                0.0,
+                -1.0,
+                5e-324,
+                1e300,
+                -1e9,
+            ];
+            for poison in poisons {
+                let mut poisoned = good;
+                if let Some(number) = number(&mut poisoned, index) {
+                    *number = poison;
+                }
+                let opened = try_it(&poisoned);
+                assert!(!opened || poison.is_finite(), "{poisoned:?}");
+            }
+            index += 1;
+        }
+        assert_eq!(index, 29);
+    }
+    for word in [0, 1, 2, 4, 31, 32, 33, 16384, 16385, 65536, u32::MAX] {
+        let good = calibration();
+        // Wide and flat, so that the greatest of them fit in memory.
+        for poisoned in [
+            gedepth_calibration {
+                width: word,
+                height: 1,
+                ..good
+            },
+            gedepth_calibration {
+                width: 1,
+                height: word,
+                ..good
+            },
+            gedepth_calibration {
+                distortion: word,
+                ..good
+            },
+            gedepth_calibration {
+                reserved: word,
+                ..good
+            },
+        ] {
+            try_it(&poisoned);
+        }
+    }
+    let options = [
+        (
+            gedepth_options { output: 2, ..tiny },
+            GEDEPTH_UNKNOWN_CHOICE,
+        ),
+        (
+            gedepth_options {
+                statistics_runs: u32::MAX,
+                ..tiny
+            },
+            GEDEPTH_STATISTICS_LENGTH,
+        ),
+        (
+            gedepth_options {
+                reserved: [0, 0, 0, 1],
+                ..tiny
+            },
+            GEDEPTH_UNUSED_NOT_ZERO,
+        ),
+        (
+            gedepth_options {
+                network_width: 33,
+                ..tiny
+            },
+            GEDEPTH_NETWORK_SIZE,
+        ),
+        (
+            gedepth_options {
+                network_height: 0,
+                ..tiny
+            },
+            GEDEPTH_NETWORK_SIZE,
+        ),
+    ];
+    for (options, result) in options {
+        let opened = Camera::open(&model, &calibration(), &options);
+        assert_eq!(opened.err(), Some(result));
+    }
+}
