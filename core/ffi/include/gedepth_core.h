@@ -270,9 +270,9 @@ typedef struct gedepth_core_extrinsics {
   double r[9];
   // T, metres, each within +-1e9.
   double t[3];
-  // The plane's normal, of any length, pointing out of the ground.
+  // A normal of the plane, pointing out of the ground; its length does not matter.
   double plane_up[3];
-  // Metres, within +-1e9.
+  // Where the plane lies along the normal of length 1, metres, within +-1e9.
   double plane_offset;
 } gedepth_core_extrinsics;
 
@@ -572,6 +572,8 @@ size_t gedepth_core_rays_len(uint32_t width, uint32_t height);
                   ((size_t)(width) > (size_t)(head_width) ? (size_t)(width) : (size_t)(head_width)) \
         : 0))
 
+#ifndef GEDEPTH_CORE_LAYOUT
+#define GEDEPTH_CORE_LAYOUT
 /* The compiler sees the structs as the library does. */
 typedef char gedepth_core_check_camera[sizeof(gedepth_core_camera) == 512 ? 1 : -1];
 typedef char gedepth_core_check_lens[sizeof(gedepth_core_lens) == 120 ? 1 : -1];
@@ -579,3 +581,4 @@ typedef char gedepth_core_check_extrinsics[sizeof(gedepth_core_extrinsics) == 12
 typedef char gedepth_core_check_mounting[sizeof(gedepth_core_mounting) == 32 ? 1 : -1];
 typedef char gedepth_core_check_line[sizeof(gedepth_core_line) == 32 ? 1 : -1];
 typedef char gedepth_core_check_fusion[sizeof(gedepth_core_fusion) == 16 ? 1 : -1];
+#endif

@@ -68,9 +68,9 @@ pub struct gedepth_core_extrinsics {
     pub r: [f64; 9],
     /// T, metres, each within +-1e9.
     pub t: [f64; 3],
-    /// The plane's normal, of any length, pointing out of the ground.
+    /// A normal of the plane, pointing out of the ground; its length does not matter.
     pub plane_up: [f64; 3],
-    /// Metres, within +-1e9.
+    /// Where the plane lies along the normal of length 1, metres, within +-1e9.
     pub plane_offset: f64,
 }
 
