@@ -48,12 +48,19 @@ pub struct Estimate<'a> {
     pub placement: Placement,
     /// Planar depth, metres.
     pub depth: &'a [f32],
+    /// How long the stages took.
+    pub times: StageTimes,
+}
+
+/// The depth of a picture and what went into it, row-major from the top left.
+#[derive(Clone, Copy, Debug)]
+pub struct Maps<'a> {
+    /// Planar depth, metres.
+    pub depth: &'a [f32],
     /// Ground depth as the mode sees it, metres; 0 where there is none within the model's range.
     pub ground: &'a [f32],
     /// Ground attention M, 0 to 1; `None` where the network has no such output.
     pub attention: Option<&'a [f32]>,
-    /// How long the stages took.
-    pub times: StageTimes,
 }
 
 /// A model bound to a camera.
@@ -74,6 +81,8 @@ pub struct Estimator {
     depth: Vec<f32>,
     ground: Vec<f32>,
     attention: Vec<f32>,
+    /// Whether `ground` and `attention` are the last picture's.
+    all_maps_made: bool,
 }
 
 impl Estimator {
@@ -156,12 +165,14 @@ impl Estimator {
                     0
                 }
             ],
+            all_maps_made: false,
             contract,
         };
         // So that no real picture waits for memory to be mapped, or grows a buffer.
         let black = vec![0; 3 * picture.0 as usize * picture.1 as usize];
         if let Some(black) = Picture::new(picture, &black) {
             estimator.run(black)?;
+            estimator.maps()?;
         }
         Ok(estimator)
     }
@@ -191,14 +202,30 @@ impl Estimator {
         self.network.times()
     }
 
-    /// What the last picture (before the first, a black one) says about the calibration. Allocates nothing.
-    pub fn plausibility(&self) -> Plausibility {
-        Plausibility::of(
+    /// What the last picture (before the first, a black one) says about the calibration. Makes
+    /// [`Self::maps`]. Allocates nothing.
+    pub fn plausibility(&mut self) -> Result<Plausibility, Error> {
+        self.maps()?;
+        Ok(Plausibility::of(
             &self.table,
             self.contract.depth_range.max(),
             &self.depth,
             self.contract.attention.is_some().then_some(&self.attention),
-        )
+        ))
+    }
+
+    /// All maps of the last picture (before the first, a black one). Most users want the depth alone, so ground and
+    /// attention are made when asked for, by fusing once more. Allocates nothing where the engine runs the whole network.
+    pub fn maps(&mut self) -> Result<Maps<'_>, Error> {
+        if !self.all_maps_made {
+            self.fuse(true)?;
+            self.all_maps_made = true;
+        }
+        Ok(Maps {
+            depth: &self.depth,
+            ground: &self.ground,
+            attention: self.contract.attention.is_some().then_some(&self.attention),
+        })
     }
 
     /// Estimates the depth of a picture from this estimator's camera.
@@ -213,19 +240,34 @@ impl Estimator {
         self.network
             .fill_input(|entrance| self.preprocessor.fill(picture, entrance))?;
         let filled = Instant::now();
-        let (heads, threads) = self.network.run()?;
+        self.all_maps_made = false;
+        self.network.run()?;
         let inferred = Instant::now();
-        let maps = FusedMaps {
-            depth: &mut self.depth,
-            attention: self
-                .contract
-                .attention
-                .is_some()
-                .then_some(self.attention.as_mut_slice()),
-            ground: Some(&mut self.ground),
-        };
+        self.fuse(false)?;
+        let fused = Instant::now();
+        Ok(Estimate {
+            size: (self.output.width(), self.output.height()),
+            placement: self.placement,
+            depth: &self.depth,
+            times: StageTimes {
+                preprocess: filled - start,
+                network: inferred - filled,
+                fusion: fused - inferred,
+            },
+        })
+    }
+
+    /// From the network's outputs to the depth, or to all maps.
+    fn fuse(&mut self, all_maps: bool) -> Result<(), Error> {
+        let (heads, threads) = self.network.outputs();
         let ground = GroundView::from_values(&self.table, self.output, self.camera_height)
             .map_err(|e| heads.unfit(e))?;
+        let has_attention = self.contract.attention.is_some();
+        let maps = FusedMaps {
+            depth: &mut self.depth,
+            attention: (all_maps && has_attention).then_some(self.attention.as_mut_slice()),
+            ground: all_maps.then_some(self.ground.as_mut_slice()),
+        };
         fuse(
             &self.contract,
             &self.fusion,
@@ -233,19 +275,6 @@ impl Estimator {
             &ground,
             &mut self.scratch,
             maps,
-        )?;
-        let fused = Instant::now();
-        Ok(Estimate {
-            size: (self.output.width(), self.output.height()),
-            placement: self.placement,
-            depth: &self.depth,
-            ground: &self.ground,
-            attention: self.contract.attention.is_some().then_some(&self.attention),
-            times: StageTimes {
-                preprocess: filled - start,
-                network: inferred - filled,
-                fusion: fused - inferred,
-            },
-        })
+        )
     }
 }

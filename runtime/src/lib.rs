@@ -48,7 +48,7 @@ mod vectors;
 pub use calibration::{Calibration, Camera, Distortion, Numbers, json, kitti};
 pub use engine::{Engine, InspectedNode, Kernel, LayerTime, Place};
 pub use error::Error;
-pub use estimator::{Estimate, Estimator, OutputSize, StageTimes};
+pub use estimator::{Estimate, Estimator, Maps, OutputSize, StageTimes};
 pub use inspection::{InspectedTensor, Inspection, PlanKind, Weights};
 pub use model::{Model, Size};
 pub use plausibility::Plausibility;

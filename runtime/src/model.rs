@@ -255,6 +255,8 @@ enum Plan {
         plan: Arc<TypedRunnableModel>,
         /// `[1, channels, height, width]`; taken by a run and given back after it.
         input: Arc<Tensor>,
+        /// Of the last run.
+        outputs: TVec<TValue>,
         kind: PlanKind,
     },
     /// The engine alone, without an allocation per run.
@@ -313,7 +315,12 @@ impl Network {
                     .into_optimized()?
                     .into_runnable()?;
                 let input = Arc::new(Tensor::zero::<f32>(&shape)?);
-                Ok(Plan::Tract { plan, input, kind })
+                Ok(Plan::Tract {
+                    plan,
+                    input,
+                    outputs: tvec!(),
+                    kind,
+                })
             })
         };
         // What the engine cannot do, tract does; what it cannot do after all, too.
@@ -393,27 +400,40 @@ impl Network {
         }
     }
 
-    /// Runs the network on its input. The threads that ran it are free to go on with its outputs; none where tract did.
-    pub(crate) fn run(&mut self) -> Result<(Outputs<'_>, Option<Threads<'_>>), Error> {
-        let values = match &mut self.plan {
-            Plan::Tract { plan, input, .. } => {
-                guarded(|| plan.run(tvec!(input.clone().into_tvalue())))
-                    .map(|values| (Values::Tract(values), None))
-            }
-            Plan::Engine(whole) => guarded(|| Ok(whole.run()))
-                .and_then(|ran| ran)
-                .map(|(results, threads)| (Values::Engine(results), Some(threads))),
+    /// Runs the network on its input.
+    pub(crate) fn run(&mut self) -> Result<(), Error> {
+        let ran = match &mut self.plan {
+            Plan::Tract {
+                plan,
+                input,
+                outputs,
+                ..
+            } => guarded(|| plan.run(tvec!(input.clone().into_tvalue()))).map(|values| {
+                *outputs = values;
+            }),
+            Plan::Engine(whole) => guarded(|| Ok(whole.run())).and_then(|ran| ran),
         };
-        let (values, threads) = values.map_err(|reason| Error::Model {
+        ran.map_err(|reason| Error::Model {
             path: self.path.clone(),
             reason,
-        })?;
+        })
+    }
+
+    /// What the last run gave. The threads that ran it are free to go on with it; none where tract did.
+    pub(crate) fn outputs(&mut self) -> (Outputs<'_>, Option<Threads<'_>>) {
+        let (values, threads) = match &mut self.plan {
+            Plan::Tract { outputs, .. } => (Values::Tract(outputs), None),
+            Plan::Engine(whole) => {
+                let (results, threads) = whole.results();
+                (Values::Engine(results), Some(threads))
+            }
+        };
         let outputs = Outputs {
             path: &self.path,
             order: &self.outputs,
             values,
         };
-        Ok((outputs, threads))
+        (outputs, threads)
     }
 }
 
@@ -425,7 +445,7 @@ pub(crate) struct Outputs<'a> {
 }
 
 enum Values<'a> {
-    Tract(TVec<TValue>),
+    Tract(&'a [TValue]),
     Engine(&'a Results),
 }
 
@@ -502,7 +522,8 @@ mod tests {
         network
             .fill_input(|entrance| entrance.write_planes(&input))
             .expect("filled");
-        let (values, _) = network.run().expect("outputs");
+        network.run().expect("a run");
+        let (values, _) = network.outputs();
         let compare = |(index, output): (usize, &&str)| {
             let (ours, _) = values.head(index).expect("a head");
             let theirs = tensor(&golden.join(format!("{output}.pb")));

@@ -224,7 +224,7 @@ impl gedepth_camera {
             network_height: placement.network.1,
             map_width: estimate.size.0,
             map_height: estimate.size.1,
-            has_attention: estimate.attention.is_some().into(),
+            has_attention: model.model.contract().attention.is_some().into(),
             reserved: 0,
         };
         Ok(Self {
@@ -303,15 +303,18 @@ impl gedepth_camera {
         };
         let picture =
             Picture::new(size, rgb).ok_or_else(|| Failure::plain(GEDEPTH_PICTURE_LENGTH))?;
-        let estimate = estimator.run(picture)?;
         let Estimate {
             depth,
-            ground,
-            attention,
             times: stages,
             ..
-        } = estimate;
-        let sources = [Some(depth), Some(ground), attention];
+        } = estimator.run(picture)?;
+        let sources = match outputs[1..].iter().any(Option::is_some) {
+            true => {
+                let maps = estimator.maps()?;
+                [Some(maps.depth), Some(maps.ground), maps.attention]
+            }
+            false => [Some(depth), None, None],
+        };
         for (output, source) in outputs.iter().zip(sources) {
             let (Some((array, stride)), Some(source)) = (output, source) else {
                 continue;
@@ -500,7 +503,7 @@ pub unsafe extern "C" fn gedepth_camera_plausibility(
         // SAFETY: the crate's contract.
         let camera = unsafe { look(camera) }?;
         let plausibility = Array::one(plausibility)?;
-        let of_last = camera.state()?.estimator.plausibility();
+        let of_last = camera.state()?.estimator.plausibility()?;
         let none = -1.0;
         let of_last = gedepth_plausibility {
             ground_share: of_last.ground_share,

@@ -199,11 +199,12 @@ fn expected(rgb: &[u8], output: OutputSize) -> [Vec<f32>; 3] {
     let calibration = Calibration::new(Path::new("numbers"), &numbers).unwrap();
     let model = Model::embedded().unwrap();
     let mut estimator = Estimator::new(&model, &calibration, SIZE, Some(NETWORK), output).unwrap();
-    let estimate = estimator.run(Picture::new(SIZE, rgb).unwrap()).unwrap();
+    estimator.run(Picture::new(SIZE, rgb).unwrap()).unwrap();
+    let maps = estimator.maps().unwrap();
     [
-        estimate.depth.to_vec(),
-        estimate.ground.to_vec(),
-        estimate.attention.unwrap().to_vec(),
+        maps.depth.to_vec(),
+        maps.ground.to_vec(),
+        maps.attention.unwrap().to_vec(),
     ]
 }
 

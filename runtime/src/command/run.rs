@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use gedepth::{Error, Estimate, OutputSize, Picture, StageTimes, render};
+use gedepth::{Error, Estimate, Maps, OutputSize, Picture, StageTimes, render};
 use image::{DynamicImage, ImageFormat};
 
 use super::inputs::{Inputs, Opened};
@@ -35,15 +35,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         prepare,
     } = arguments.inputs.open(OutputSize::Picture)?;
     let picture = Picture::from(&image);
-    let estimate = estimator.run(picture)?;
-    write_together(&rendered(&estimate, &arguments.out)?)?;
+    let Estimate {
+        size,
+        placement,
+        times,
+        ..
+    } = estimator.run(picture)?;
+    let maps = estimator.maps()?;
+    write_together(&rendered(maps, size.0, &arguments.out)?)?;
 
     let contract = model.contract();
-    let placement = estimate.placement;
-    let ((pw, ph), (nw, nh), (w, h)) = (picture.size(), placement.network, estimate.size);
-    let (near, far) = range(estimate.depth);
-    let pixels = estimate.depth.len() as f32;
-    let ground = estimate.ground.iter().filter(|&&z| z > 0.0).count() as f32;
+    let ((pw, ph), (nw, nh), (w, h)) = (picture.size(), placement.network, size);
+    let (near, far) = range(maps.depth);
+    let pixels = maps.depth.len() as f32;
+    let ground = maps.ground.iter().filter(|&&z| z > 0.0).count() as f32;
     println!("picture     {pw} x {ph}");
     println!(
         "network     {nw} x {nh}, {}, {}",
@@ -60,13 +65,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         "ground      seen by {:.1} % of the pixels within {} m, from {:.2} m on",
         100.0 * ground / pixels,
         contract.depth_range.max(),
-        range(estimate.ground).0,
+        range(maps.ground).0,
     );
     let StageTimes {
         preprocess,
         network,
         fusion,
-    } = estimate.times;
+    } = times;
     for (stage, time, note) in [
         ("decode", decode, ""),
         (
@@ -94,23 +99,20 @@ fn range(metres: &[f32]) -> (f32, f32) {
 }
 
 /// The outputs as encoded files: path and bytes.
-fn rendered(estimate: &Estimate<'_>, dir: &Path) -> Result<Vec<(PathBuf, Vec<u8>)>, Error> {
-    let map = |values| render::Map {
-        width: estimate.size.0,
-        values,
-    };
+fn rendered(maps: Maps<'_>, width: u32, dir: &Path) -> Result<Vec<(PathBuf, Vec<u8>)>, Error> {
+    let map = |values| render::Map { width, values };
     let mut pictures: Vec<(&'static str, DynamicImage)> = vec![
-        ("depth.png", render::depth_16bit(map(estimate.depth)).into()),
+        ("depth.png", render::depth_16bit(map(maps.depth)).into()),
         (
             "depth_colours.png",
-            render::depth_colours(map(estimate.depth)).into(),
+            render::depth_colours(map(maps.depth)).into(),
         ),
         (
             "ground.png",
-            render::depth_colours(map(estimate.ground)).into(),
+            render::depth_colours(map(maps.ground)).into(),
         ),
     ];
-    if let Some(attention) = estimate.attention {
+    if let Some(attention) = maps.attention {
         pictures.push(("attention.png", render::attention(map(attention)).into()));
     }
     pictures

@@ -169,7 +169,7 @@ impl Whole {
     }
 
     /// Runs it on what was written. Up to four outputs it allocates nothing.
-    pub(crate) fn run(&mut self) -> Result<(&Results, Threads<'_>), String> {
+    pub(crate) fn run(&mut self) -> Result<(), String> {
         let mut outputs: TVec<Shared<'_, f32>> = tvec!();
         outputs.extend(
             self.results
@@ -178,10 +178,13 @@ impl Whole {
                 .map(|(_, values)| Shared::new(values)),
         );
         match &self.input {
-            Input::Planes(planes) => self.schedule.run(Inputs::Planes(&[planes]), &outputs)?,
-            Input::Pixels(_) => self.schedule.run(Inputs::Entered, &outputs)?,
+            Input::Planes(planes) => self.schedule.run(Inputs::Planes(&[planes]), &outputs),
+            Input::Pixels(_) => self.schedule.run(Inputs::Entered, &outputs),
         }
-        drop(outputs);
-        Ok((&self.results, Threads(&mut self.schedule)))
+    }
+
+    /// What the last run gave, and the threads that ran it.
+    pub(crate) fn results(&mut self) -> (&Results, Threads<'_>) {
+        (&self.results, Threads(&mut self.schedule))
     }
 }
