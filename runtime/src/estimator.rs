@@ -5,12 +5,13 @@ use std::time::{Duration, Instant};
 
 use gedepth_core::camera::{CameraModel, ImageSize};
 use gedepth_core::fusion::{FusedMaps, Fusion};
-use gedepth_core::table::{GroundRows, GroundView, write_depth};
+use gedepth_core::table::{GroundView, write_depth};
 
 use crate::Error;
 use crate::calibration::Calibration;
 use crate::contract::Contract;
 use crate::engine::LayerTime;
+use crate::ground::OutputGround;
 use crate::heads::{fuse, outputs};
 use crate::model::{Model, Network, Size};
 use crate::plausibility::Plausibility;
@@ -72,10 +73,7 @@ pub struct Estimator {
     network: Network,
     fusion: Fusion,
     output: ImageSize,
-    /// Height of the camera over the ground, metres.
-    camera_height: f32,
-    /// Inverse ground depth of the output's pixels, 1/m.
-    table: Vec<f32>,
+    output_ground: OutputGround,
     /// Of each thread.
     scratch: Vec<Vec<f32>>,
     depth: Vec<f32>,
@@ -139,11 +137,10 @@ impl Estimator {
         };
         let output = output_camera.size();
         let pixels = output.pixels();
-        let mut table = vec![0.0; GroundView::len(output)];
-        let view = GroundView::build(&mut table, &output_camera, ground).map_err(unfit_camera)?;
+        let output_ground = OutputGround::new(&output_camera, ground).map_err(unfit_camera)?;
         let farthest = contract.depth_range.max();
         let mut ground_depth = vec![0.0; pixels];
-        write_depth(&view, farthest, &mut ground_depth).map_err(unfit_camera)?;
+        write_depth(&output_ground, farthest, &mut ground_depth).map_err(unfit_camera)?;
         let mut estimator = Self {
             placement,
             picture,
@@ -152,8 +149,7 @@ impl Estimator {
             fusion: Fusion::new(contract.upsampling, contract.depth_range, farthest)
                 .map_err(unfit_model)?,
             output,
-            camera_height: view.camera_height(),
-            table,
+            output_ground,
             scratch: Vec::new(),
             depth: vec![0.0; pixels],
             ground: ground_depth,
@@ -206,12 +202,15 @@ impl Estimator {
     /// [`Self::maps`]. Allocates nothing.
     pub fn plausibility(&mut self) -> Result<Plausibility, Error> {
         self.maps()?;
-        Ok(Plausibility::of(
-            &self.table,
+        let row = self.scratch.first_mut().map_or(&mut [][..], |s| s);
+        Plausibility::of(
+            &self.output_ground,
+            row,
             self.contract.depth_range.max(),
             &self.depth,
             self.contract.attention.is_some().then_some(&self.attention),
-        ))
+        )
+        .map_err(|e| self.network.outputs().0.unfit(e))
     }
 
     /// All maps of the last picture (before the first, a black one). Most users want the depth alone, so ground and
@@ -260,8 +259,6 @@ impl Estimator {
     /// From the network's outputs to the depth, or to all maps.
     fn fuse(&mut self, all_maps: bool) -> Result<(), Error> {
         let (heads, threads) = self.network.outputs();
-        let ground = GroundView::from_values(&self.table, self.output, self.camera_height)
-            .map_err(|e| heads.unfit(e))?;
         let has_attention = self.contract.attention.is_some();
         let maps = FusedMaps {
             depth: &mut self.depth,
@@ -272,7 +269,7 @@ impl Estimator {
             &self.contract,
             &self.fusion,
             (&heads, threads),
-            &ground,
+            &self.output_ground,
             &mut self.scratch,
             maps,
         )

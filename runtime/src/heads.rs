@@ -7,11 +7,12 @@ use gedepth_core::fusion::{
     AttentionHead, DecodeAt, FusedMaps, Fusion, HeadMap, ResidualHead, Samples, SlopeHead,
     scratch_len,
 };
-use gedepth_core::table::{GroundRows, GroundView};
+use gedepth_core::table::GroundRows;
 
 use crate::Error;
 use crate::contract::Contract;
 use crate::engine::Threads;
+use crate::ground::OutputGround;
 use crate::model::Outputs;
 use crate::vectors::{Loops, widest};
 
@@ -81,7 +82,7 @@ impl<'a> Heads<'a> {
 struct Stripe<'a> {
     fusion: Fusion,
     heads: Heads<'a>,
-    ground: &'a GroundView<'a>,
+    ground: &'a OutputGround,
     scratch: &'a mut [f32],
     maps: FusedMaps<'a>,
 }
@@ -124,7 +125,7 @@ pub(crate) fn fuse(
     contract: &Contract,
     fusion: &Fusion,
     (outputs, threads): (&Outputs<'_>, Option<Threads<'_>>),
-    ground: &GroundView<'_>,
+    ground: &OutputGround,
     scratch: &mut Vec<Vec<f32>>,
     mut maps: FusedMaps<'_>,
 ) -> Result<(), Error> {

@@ -37,6 +37,7 @@ mod calibration;
 mod engine;
 mod error;
 mod estimator;
+mod ground;
 mod heads;
 mod inspection;
 mod model;

@@ -107,10 +107,7 @@ fn rendered(maps: Maps<'_>, width: u32, dir: &Path) -> Result<Vec<(PathBuf, Vec<
             "depth_colours.png",
             render::depth_colours(map(maps.depth)).into(),
         ),
-        (
-            "ground.png",
-            render::depth_colours(map(maps.ground)).into(),
-        ),
+        ("ground.png", render::depth_colours(map(maps.ground)).into()),
     ];
     if let Some(attention) = maps.attention {
         pictures.push(("attention.png", render::attention(map(attention)).into()));

@@ -1,0 +1,150 @@
+//! The budgets of ground embedding, as a gate: what vanilla and adaptive may cost over the same network without any.
+//!
+//! ```text
+//! cargo run --release -p gedepth-benches --bin budgets [-- --models FOLDER]
+//! ```
+//!
+//! Baseline, vanilla and adaptive take turns in one process, from picture bytes to depth at 1216x352 on two threads. Each turn
+//! gives one ratio over the baseline's time in the same turn, so that a machine that slows down slows both; what counts is
+//! the median ratio and its 95 % confidence interval. While the interval holds the budget the machine was too noisy to
+//! tell, and more turns are taken. Exit status 1: a budget is exceeded, or could not be shown to be held.
+#![allow(clippy::expect_used)]
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use gedepth::{
+    Calibration, Engine, Estimator, Kernel, Model, Numbers, OutputSize, Picture, picture,
+};
+
+const MODES: [&str; 3] = ["baseline", "vanilla", "adaptive"];
+/// The paper's Table 8: latency 179, 182, 185 ms; 0.4 % and 1.1 % more parameters.
+const TIME_BUDGETS: [f64; 3] = [0.0, 0.017, 0.034];
+const PARAMETER_BUDGETS: [f64; 3] = [0.0, 0.004, 0.011];
+/// Of picture, network and depth.
+const SIZE: (u32, u32) = (1216, 352);
+const WARM_UP: usize = 20;
+/// Turns at a time, and at most.
+const TURNS: usize = 200;
+const MOST_TURNS: usize = 5 * TURNS;
+
+fn main() -> ExitCode {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
+    let models = match std::env::args().skip(1).collect::<Vec<_>>().as_slice() {
+        [] => fixtures.join("models"),
+        [flag, folder] if flag == "--models" => PathBuf::from(folder),
+        _ => {
+            eprintln!("usage: budgets [--models FOLDER]");
+            return ExitCode::from(2);
+        }
+    };
+    let models = MODES.map(|mode| {
+        Model::from_file(&models.join(format!("{mode}-int8.onnx"))).expect("a model of each mode")
+    });
+    let mut held = true;
+    for mode in 1..MODES.len() {
+        let [more, all] = [mode, 0].map(|mode| models[mode].parameters() as f64);
+        let excess = more / all - 1.0;
+        let budget = PARAMETER_BUDGETS[mode];
+        held &= report(mode, "parameters", excess, "", budget, excess <= budget);
+    }
+
+    let (bytes, calibration) = scene(&fixtures.join("scenes/street"));
+    let picture = Picture::new(SIZE, &bytes).expect("three bytes a pixel");
+    let mut estimators = models.map(|model| {
+        let output = OutputSize::Picture;
+        let engine = Engine::Quantized {
+            kernel: Kernel::best(),
+            threads: 2,
+        };
+        Estimator::new(
+            &model.with_engine(engine),
+            &calibration,
+            SIZE,
+            Some(SIZE),
+            output,
+        )
+        .expect("an estimator")
+    });
+    let mut turns: Vec<[f64; 3]> = Vec::new();
+    // Another mode begins each turn, so that none always follows the same one.
+    let mut turn = |first: usize| {
+        let mut times = [0.0; 3];
+        for mode in (0..3).map(|next| (first + next) % 3) {
+            let start = Instant::now();
+            estimators[mode].run(picture).expect("depth");
+            times[mode] = start.elapsed().as_secs_f64() * 1e3;
+        }
+        times
+    };
+    for first in 0..WARM_UP {
+        turn(first);
+    }
+    loop {
+        turns.extend((0..TURNS).map(&mut turn));
+        let told = (1..MODES.len()).all(|mode| {
+            let [low, _, high] = excess(&turns, mode);
+            high <= TIME_BUDGETS[mode] || low > TIME_BUDGETS[mode]
+        });
+        if told || turns.len() >= MOST_TURNS {
+            break;
+        }
+    }
+    for (mode, name) in MODES.iter().enumerate() {
+        let time = median(turns.iter().map(|turn| turn[mode]).collect());
+        println!("{name}: {time:.3} ms, median of {} pictures", turns.len());
+    }
+    for mode in 1..MODES.len() {
+        let [low, middle, high] = excess(&turns, mode);
+        let interval = format!(" ({:.2} to {:.2})", 100.0 * low, 100.0 * high);
+        let budget = TIME_BUDGETS[mode];
+        held &= report(mode, "time", middle, &interval, budget, high <= budget);
+    }
+    ExitCode::from(u8::from(!held))
+}
+
+/// The bottom centre of the street picture, KITTI's crop, and the camera that would take it.
+fn scene(folder: &Path) -> (Vec<u8>, Calibration) {
+    let image = picture::read(&folder.join("image.png")).expect("the shipped picture");
+    let path = folder.join("calibration.json");
+    let mut numbers = Numbers::read(&path).expect("its calibration");
+    let (left, top) = ((image.width() - SIZE.0) / 2, image.height() - SIZE.1);
+    numbers.size = Some(SIZE);
+    numbers.k[0][2] -= f64::from(left);
+    numbers.k[1][2] -= f64::from(top);
+    let calibration = Calibration::new(&path, &numbers).expect("a camera");
+    let rows = image.as_raw().chunks_exact(3 * image.width() as usize);
+    let row = 3 * left as usize..3 * (left + SIZE.0) as usize;
+    let cropped = rows.skip(top as usize).flat_map(|all| &all[row.clone()]);
+    (cropped.copied().collect(), calibration)
+}
+
+fn report(mode: usize, what: &str, excess: f64, interval: &str, budget: f64, held: bool) -> bool {
+    println!(
+        "{} {what}: {:+.2} %{interval} over the baseline, budget {:.1} %: {}",
+        MODES[mode],
+        100.0 * excess,
+        100.0 * budget,
+        if held { "held" } else { "EXCEEDED" },
+    );
+    held
+}
+
+/// What a mode takes over the baseline, as a share of the baseline: median of the turns, between the ends of its 95 %
+/// confidence interval (order statistics: no assumption about the distribution).
+fn excess(turns: &[[f64; 3]], mode: usize) -> [f64; 3] {
+    let mut ratios: Vec<f64> = turns
+        .iter()
+        .map(|turn| turn[mode] / turn[0] - 1.0)
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    let n = ratios.len() as f64;
+    let off = 1.96 * n.sqrt() / 2.0;
+    [n / 2.0 - off, n / 2.0, n / 2.0 + off].map(|rank| ratios[rank.floor() as usize])
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
