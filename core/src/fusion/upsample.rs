@@ -182,7 +182,9 @@ impl Columns<'_> {
             Self::EightTimes => widen::<8>(
                 row,
                 out,
-                [0.5625, 0.6875, 0.8125, 0.9375, 0.0625, 0.1875, 0.3125, 0.4375],
+                [
+                    0.5625, 0.6875, 0.8125, 0.9375, 0.0625, 0.1875, 0.3125, 0.4375,
+                ],
             ),
             Self::Any { before, share } => {
                 for ((out, before), share) in out.iter_mut().zip(before.iter()).zip(share.iter()) {
@@ -254,7 +256,11 @@ mod tests {
     /// The fast ways for two, four and eight times give the very bytes of the general one.
     #[test]
     fn fast_columns_are_the_general_ones() {
-        for (columns, factor) in [(Columns::Twice, 2), (Columns::FourTimes, 4), (Columns::EightTimes, 8)] {
+        for (columns, factor) in [
+            (Columns::Twice, 2),
+            (Columns::FourTimes, 4),
+            (Columns::EightTimes, 8),
+        ] {
             for width in [1_u32, 2, 3, 4, 7, 64] {
                 let row: Vec<f32> = (0..width).map(|i| (i as f32 * 1.7).sin() * 10.0).collect();
                 let length = (width * factor) as usize;
