@@ -17,9 +17,11 @@ import os
 import pathlib
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 
+sys.dont_write_bytecode = True  # leaves nothing in the tree
 import report
 
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", report.ROOT / "target"))

@@ -33,6 +33,7 @@ import time
 
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
+sys.dont_write_bytecode = True  # leaves nothing in the tree
 import report
 
 PACKAGES = HERE / "requirements.txt"
