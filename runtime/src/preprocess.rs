@@ -549,7 +549,8 @@ mod tests {
         let outputs = ["residual", "attention", "slope"];
         let mut network = Network::new(&model, placement.network, &outputs).expect("a network");
         let heads = |network: &mut Network| -> Vec<f32> {
-            let (values, _) = network.run().expect("outputs");
+            network.run().expect("a run");
+            let (values, _) = network.outputs();
             let head = |index| values.head(index).expect("a head").0.to_vec();
             [0, 1, 2].map(head).concat()
         };

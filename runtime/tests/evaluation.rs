@@ -110,8 +110,6 @@ fn scores_are_those_that_numpy_computes() {
                     network: (64, 32),
                 },
                 depth: &depth,
-                ground: &[],
-                attention: None,
                 times: StageTimes::default(),
             };
             scores.merge(&evaluator.score(&frame, &estimate).unwrap());
@@ -143,8 +141,6 @@ fn an_estimate_at_another_size_is_refused() {
             network: (48, 32),
         },
         depth: &[1.0; 48 * 32],
-        ground: &[],
-        attention: None,
         times: StageTimes::default(),
     };
     evaluator.score(&frame, &estimate).unwrap_err();
