@@ -13,8 +13,10 @@ use gedepth_core::fusion::{
     AttentionHead, AttentionUnit, DecodeAt, DepthRange, FusedMaps, Fusion, HeadMap, ResidualHead,
     ResidualUnit, Samples, SlopeHead, Upsampling, scratch_len,
 };
-use gedepth_core::slope::{SlopeClasses, SlopeSign};
-use gedepth_core::table::{FixedView, GroundView, RayView};
+use gedepth_core::slope::{SlopeClasses, SlopeSign, adaptive_inverse_depth, slope_from_depth};
+use gedepth_core::table::{
+    FixedView, GroundCoefficients, GroundRows, GroundView, RayView, RowTolerance, RowView,
+};
 use gedepth_core::{Angle, Error, Ground};
 
 const WIDTH: u32 = 1216;
@@ -69,6 +71,42 @@ fn tables(c: &mut Criterion) {
             FixedView::<256, 255>::build(black_box(&mut steps), black_box(&pinhole), &ground)
                 .map(|_| ())
         });
+    });
+    let coefficients = GroundCoefficients::new(&intrinsics, &ground);
+    group.bench_function("pinhole_coefficients_every_row", |b| {
+        b.iter(|| {
+            let rows = black_box(&mut memory).chunks_exact_mut(WIDTH as usize);
+            (0..)
+                .zip(rows)
+                .try_for_each(|(v, row)| black_box(&coefficients).write_row(v, row))
+        });
+    });
+    let level = Ground::from_mounting(1.65, Angle::from_degrees(0.6), Angle::from_degrees(0.0))
+        .expect("a camera above its ground");
+    let level = GroundCoefficients::new(&intrinsics, &level);
+    let tolerance = RowTolerance {
+        relative_error: 1e-3,
+        up_to: 80.0,
+    };
+    group.bench_function("pinhole_per_row", |b| {
+        b.iter(|| RowView::build(black_box(&mut memory), black_box(&level), tolerance).map(|_| ()));
+    });
+    group.finish();
+}
+
+fn slopes(c: &mut Criterion) {
+    let (_, _, ground) = scene().expect("a valid scene");
+    let heads = Heads::new(8).expect("valid heads");
+    let logits = wave(11, 3.0, 0.0);
+    let mut group = c.benchmark_group("slope");
+    group.bench_function("expected_angle_11_classes", |b| {
+        b.iter(|| heads.classes.expected_angle(black_box(&logits)));
+    });
+    group.bench_function("adaptive_inverse_depth", |b| {
+        b.iter(|| adaptive_inverse_depth(black_box(0.05), black_box(0.02), &ground));
+    });
+    group.bench_function("slope_from_depth", |b| {
+        b.iter(|| slope_from_depth(black_box(0.05), black_box(19.0), &ground));
     });
     group.finish();
 }
@@ -269,5 +307,5 @@ fn fusion(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, tables, fusion);
+criterion_group!(benches, tables, slopes, fusion);
 criterion_main!(benches);

@@ -1,39 +1,75 @@
-//! The whole picture, from RGB bytes to depth, in each mode side by side, and its stages.
+//! From picture bytes to depth, stage by stage: baseline, vanilla and adaptive side by side, int8, at three sizes, on one
+//! thread and on two. Picture, network and depth have the same size, so that nothing is resampled.
 #![allow(missing_docs, clippy::expect_used)]
 
 use std::path::Path;
+use std::time::Duration;
 
-use criterion::{Criterion, criterion_group, criterion_main};
-use gedepth::{Calibration, Estimator, Model, OutputSize, Picture, picture};
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use gedepth::{
+    Calibration, Engine, Estimator, Kernel, Model, Numbers, OutputSize, Picture, StageTimes,
+};
 
-fn modes(criterion: &mut Criterion) {
+const MODES: [&str; 3] = ["baseline", "vanilla", "adaptive"];
+const SIZES: [(u32, u32); 3] = [(640, 192), (1216, 352), (640, 384)];
+
+/// A stage and its part of the times.
+type Stage = (&'static str, fn(StageTimes) -> Duration);
+
+const STAGES: [Stage; 4] = [
+    ("preprocess", |times| times.preprocess),
+    ("network", |times| times.network),
+    ("fusion", |times| times.fusion),
+    ("all", |times| {
+        times.preprocess + times.network + times.fusion
+    }),
+];
+
+fn stages(criterion: &mut Criterion) {
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
-    let scene = fixtures.join("scenes/street");
-    let image = picture::read(&scene.join("image.png")).expect("the shipped picture");
-    let picture = Picture::from(&image);
-    let calibration = Calibration::read(&scene.join("calibration.json")).expect("its calibration");
-    for precision in ["int8", "f32"] {
-        let mut group =
-            criterion.benchmark_group(format!("picture to depth, 640x192, {precision}"));
-        group.sample_size(20);
-        for mode in ["baseline", "vanilla", "adaptive"] {
-            let path = fixtures.join(format!("models/{mode}-{precision}.onnx"));
-            let model = Model::from_file(&path).expect("a shipped model");
-            let mut estimator = Estimator::new(
-                &model,
-                &calibration,
-                picture.size(),
-                Some((640, 192)),
-                OutputSize::Network,
-            )
-            .expect("an estimator");
-            group.bench_function(mode, |bencher| {
-                bencher.iter(|| estimator.run(picture).expect("depth").depth[0]);
+    let path = fixtures.join("scenes/street/calibration.json");
+    let street = Numbers::read(&path).expect("its calibration");
+    for size in SIZES {
+        // What is in the picture does not change the time; noise keeps every branch busy.
+        let bytes: Vec<u8> = (0..3 * size.0 * size.1)
+            .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
+            .collect();
+        let picture = Picture::new(size, &bytes).expect("three bytes a pixel");
+        let mut numbers = street;
+        numbers.size = Some(size);
+        numbers.k[0][2] = f64::from(size.0) / 2.0;
+        numbers.k[1][2] = f64::from(size.1) / 2.0;
+        let calibration = Calibration::new(&path, &numbers).expect("a camera");
+        for threads in [1, 2] {
+            let mut estimators = MODES.map(|mode| {
+                let path = fixtures.join(format!("models/{mode}-int8.onnx"));
+                let kernel = Kernel::best();
+                let model = Model::from_file(&path)
+                    .expect("a shipped model")
+                    .with_engine(Engine::Quantized { kernel, threads });
+                let output = OutputSize::Picture;
+                Estimator::new(&model, &calibration, size, Some(size), output)
+                    .expect("an estimator")
             });
+            for (name, part) in STAGES {
+                let mut group = criterion.benchmark_group(format!("{name}, {}x{}", size.0, size.1));
+                group.sample_size(20);
+                group.measurement_time(Duration::from_secs(2));
+                for (mode, estimator) in MODES.iter().zip(&mut estimators) {
+                    let id = BenchmarkId::new(*mode, format!("{threads} threads"));
+                    group.bench_function(id, |bencher| {
+                        bencher.iter_custom(|runs| {
+                            (0..runs)
+                                .map(|_| part(estimator.run(picture).expect("depth").times))
+                                .sum()
+                        });
+                    });
+                }
+                group.finish();
+            }
         }
-        group.finish();
     }
 }
 
-criterion_group!(benches, modes);
+criterion_group!(benches, stages);
 criterion_main!(benches);
