@@ -10,6 +10,7 @@ use tract_onnx::pb::{
 use tract_onnx::prelude::*;
 
 use super::island::ISLAND;
+use super::kernels::{Dense, Row};
 use super::layer::Quantization;
 use super::{Engine, Kernel, register, to_qdq};
 use crate::model::{Model, Network};
@@ -678,6 +679,65 @@ fn every_kernel_quantizes_any_real_as_the_definition_says() {
                 let [real_byte, other_byte] = [real, other].map(|v| quantization.byte(v));
                 let expected = [real_byte, other_byte, real_byte, zero];
                 assert_eq!(pixel, expected, "{kernel:?}, {real}, {other}, {zero}");
+            }
+        }
+    }
+}
+
+/// Heads: a few outputs that leave as f32, from pixels of 16 channels and of others, in rows of any length.
+#[test]
+fn few_outputs_are_the_sums_that_they_should_be() {
+    let mut numbers = Numbers(11);
+    for (outputs, pitch, pixels) in [
+        (1, 16, 40),
+        (2, 16, 16),
+        (3, 16, 19),
+        (4, 16, 33),
+        (5, 16, 20),
+        (2, 16, 7),
+        (2, 32, 21),
+    ] {
+        // 3x3: three rows of input, a run of three pixels in each.
+        let row_bytes = pitch * (pixels + 2);
+        let input: Vec<u8> = (0..3 * row_bytes)
+            .map(|_| numbers.below(256) as u8)
+            .collect();
+        let weights: Vec<i8> = (0..outputs * 9 * pitch)
+            .map(|_| numbers.below(255) as i8)
+            .collect();
+        let weight =
+            |output: usize, run: usize, byte: usize| weights[(output * 3 + run) * 3 * pitch + byte];
+        let starts: Vec<i32> = (0..outputs as i32).map(|o| 1000 * o - 1500).collect();
+        let factors: Vec<f32> = (0..outputs).map(|o| 0.125 + o as f32).collect();
+        let row = Row {
+            input: &input,
+            base: 0,
+            runs: &[0, row_bytes, 2 * row_bytes],
+            step: pitch,
+            pixels,
+        };
+        let expected = |output: usize, pixel: usize| {
+            let products = (0..3).flat_map(|run| (0..3 * pitch).map(move |byte| (run, byte)));
+            let sum: i32 = products
+                .map(|(run, byte)| {
+                    let x = input[run * row_bytes + pixel * pitch + byte];
+                    i32::from(x) * i32::from(weight(output, run, byte))
+                })
+                .sum();
+            (sum + starts[output]) as f32 * factors[output]
+        };
+        for kernel in kernels() {
+            let dense = Dense::new(kernel, outputs, 3, 3 * pitch, &starts, &factors, weight);
+            let mut out = vec![f32::NAN; dense.lanes() * pixels];
+            kernel.dense_floats(&dense, &row, &mut out);
+            for (output, values) in out.chunks_exact(pixels).take(outputs).enumerate() {
+                for (pixel, value) in values.iter().enumerate() {
+                    assert_eq!(
+                        *value,
+                        expected(output, pixel),
+                        "{kernel:?}, {outputs} outputs, {pitch} bytes, output {output}, pixel {pixel}"
+                    );
+                }
             }
         }
     }

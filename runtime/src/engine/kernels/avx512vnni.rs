@@ -268,8 +268,87 @@ pub(super) unsafe fn dense_bytes(
 /// As [`dense_bytes`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 pub(super) unsafe fn dense_floats(dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
+    let narrow = row.step == NARROW && dense.run % NARROW == 0;
     let out = out.as_mut_ptr();
+    if dense.outputs <= FEW && narrow && row.pixels >= FEW_PIXELS {
+        // SAFETY: passed on; one block has all outputs, and no other lane is written.
+        return unsafe { few_floats(dense, row, out) };
+    }
     channels!(dense, row, floats(out));
+}
+
+/// Outputs that leave three quarters of a block of lanes empty.
+const FEW: usize = 4;
+/// Bytes of a pixel of input that is a 128-bit lane.
+const NARROW: usize = 16;
+const FEW_PIXELS: usize = 16;
+
+/// Up to four outputs from pixels of 16 channels: the heads. A register holds four outputs of four pixels, instead of sixteen of
+/// one of which most do not exist.
+///
+/// # Safety
+/// As [`dense_bytes`]; the row passed `Dense::check`, its pixels lie [`NARROW`] bytes apart, runs are whole pixels, and it has
+/// [`FEW_PIXELS`] pixels or more; there are at most [`FEW`] outputs; `out` has room for their rows.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
+    // From four outputs of four pixels to four pixels of four outputs.
+    let by_output = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+    // SAFETY: a block has 16 starts and factors.
+    let (starts, factors) = unsafe {
+        (
+            _mm512_broadcast_i32x4(_mm_loadu_si128(dense.starts.as_ptr().cast())),
+            _mm512_broadcast_f32x4(_mm_loadu_ps(dense.factors.as_ptr())),
+        )
+    };
+    for pixel in (0..row.pixels).step_by(FEW_PIXELS) {
+        let pixel = pixel.min(row.pixels - FEW_PIXELS);
+        let mut sums = [starts; FEW_PIXELS / 4];
+        let mut weights = dense.weights.as_ptr();
+        for offset in row.runs {
+            for tap in (0..dense.run).step_by(NARROW) {
+                // SAFETY: the tap's bytes of 16 pixels of the row, one after the other.
+                let input = unsafe {
+                    let at = row.base + offset + pixel * NARROW + tap;
+                    let input = row.input.as_ptr().add(at);
+                    [0, 1, 2, 3].map(|four| _mm512_loadu_si512(input.add(64 * four).cast()))
+                };
+                macro_rules! quad {
+                    ($number:literal) => {{
+                        // SAFETY: a block has `runs * run / 4` vectors of weights; the first quarter of each is that of
+                        // the first four outputs.
+                        let of_quad = unsafe {
+                            let at = weights.add($number * 4 * BLOCK);
+                            _mm512_broadcast_i32x4(_mm_loadu_si128(at.cast()))
+                        };
+                        for (sums, input) in sums.iter_mut().zip(input) {
+                            let quad = _mm512_shuffle_epi32::<{ $number * 0b01_01_01_01 }>(input);
+                            *sums = _mm512_dpbusd_epi32(*sums, quad, of_quad);
+                        }
+                    }};
+                }
+                quad!(0);
+                quad!(1);
+                quad!(2);
+                quad!(3);
+                // SAFETY: at most to the end of the weights.
+                weights = unsafe { weights.add(4 * 4 * BLOCK) };
+            }
+        }
+        for (four, sums) in sums.into_iter().enumerate() {
+            let values = _mm512_mul_ps(_mm512_cvtepi32_ps(sums), factors);
+            let values = _mm512_permutexvar_ps(by_output, values);
+            let rows = [
+                _mm512_castps512_ps128(values),
+                _mm512_extractf32x4_ps::<1>(values),
+                _mm512_extractf32x4_ps::<2>(values),
+                _mm512_extractf32x4_ps::<3>(values),
+            ];
+            for (output, values) in rows.into_iter().enumerate().take(dense.outputs) {
+                // SAFETY: four pixels of the output's row.
+                unsafe { _mm_storeu_ps(out.add(output * row.pixels + pixel + 4 * four), values) };
+            }
+        }
+    }
 }
 
 /// Weights of a depthwise convolution for `vpdpbusd`: four rows of taps are the four bytes of a lane.

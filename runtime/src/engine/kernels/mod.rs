@@ -138,7 +138,8 @@ pub(crate) struct ToBytes {
 /// Weights of a dense convolution, packed, with start and factor of each output channel.
 #[derive(Clone, Debug)]
 pub(crate) struct Dense {
-    /// Number of output channels, padded to whole blocks.
+    outputs: usize,
+    /// Blocks that hold the output channels.
     blocks: usize,
     /// Runs of input bytes per output pixel.
     runs: usize,
@@ -198,6 +199,7 @@ impl Dense {
         let mut factors = factors.to_vec();
         factors.extend(std::iter::repeat_n(0.0, padded(blocks * BLOCK)));
         Self {
+            outputs,
             blocks,
             runs,
             run,
@@ -395,7 +397,7 @@ impl Kernel {
         dispatch!(self, dense_bytes(dense, row, to, out, pitch));
     }
 
-    /// A row of a dense convolution as f32, `[lanes][pixels]`.
+    /// A row of a dense convolution as f32, `[lanes][pixels]`; lanes without an output may stay as they are.
     pub(crate) fn dense_floats(self, dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
         dense.check(row);
         assert!(row.pixels * dense.lanes() <= out.len());
