@@ -287,7 +287,7 @@ typedef struct gedepth_map {
   size_t stride;
 } gedepth_map;
 
-// What a run is to write. Every map may be null.
+// What a run is to write. Every map may be null. Ground or attention take a second fusion, in the time for copying.
 typedef struct gedepth_maps {
   // Planar depth, metres: z in the camera's frame.
   struct gedepth_map depth;
@@ -397,8 +397,8 @@ int32_t gedepth_camera_run(struct gedepth_camera *camera,
 // Percentiles of the camera's last runs. Allocates nothing.
 int32_t gedepth_camera_statistics(const struct gedepth_camera *camera, struct gedepth_statistics *statistics);
 
-// What the camera's last picture says about its calibration (before the first, a blank one). Allocates nothing; takes less
-// than 1 ms for a megapixel of maps.
+// What the camera's last picture says about its calibration (before the first, a blank one). Allocates nothing; takes
+// less than 1 ms for a megapixel of maps, and a fusion where the picture's maps were not asked for.
 int32_t gedepth_camera_plausibility(const struct gedepth_camera *camera,
                                     struct gedepth_plausibility *plausibility);
 

@@ -101,7 +101,7 @@ pub struct gedepth_map {
     pub stride: usize,
 }
 
-/// What a run is to write. Every map may be null.
+/// What a run is to write. Every map may be null. Ground or attention take a second fusion, in the time for copying.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct gedepth_maps {
@@ -492,8 +492,8 @@ pub unsafe extern "C" fn gedepth_camera_statistics(
     })
 }
 
-/// What the camera's last picture says about its calibration (before the first, a blank one). Allocates nothing; takes less
-/// than 1 ms for a megapixel of maps.
+/// What the camera's last picture says about its calibration (before the first, a blank one). Allocates nothing; takes
+/// less than 1 ms for a megapixel of maps, and a fusion where the picture's maps were not asked for.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_camera_plausibility(
     camera: *const gedepth_camera,
