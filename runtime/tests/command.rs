@@ -442,6 +442,20 @@ fn bench_measures_every_stage() {
     ] {
         assert!(table.contains(word), "{table}");
     }
+    // The first convolution, from colours and ground to 32 channels: its weights at each pixel; and what it reads and writes.
+    let first = table
+        .lines()
+        .find(|line| line.contains("convolution 3x3 / 2"))
+        .unwrap();
+    let columns: Vec<&str> = first.split_whitespace().collect();
+    let weights = 3 * 3 * 4 * 32;
+    let pixels = 48 * 160;
+    let bytes = 4 * 96 * 320 + weights + 32 * pixels;
+    assert_eq!(
+        columns[1],
+        format!("{:.1}", f64::from(weights * pixels) / 1e6)
+    );
+    assert_eq!(columns[2], format!("{:.3}", f64::from(bytes) / 1e6));
     let raw = bench(&["--runs", "3", "--raw"]);
     let numbers: Vec<Vec<f64>> = raw
         .lines()

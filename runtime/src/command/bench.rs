@@ -75,20 +75,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     Ok(())
 }
 
-/// Mean times of the layers, and their throughput.
+/// Mean times of the layers, what they do at least, and their throughput.
 fn print_layers(layers: &[LayerTime], runs: u32) {
     println!(
-        "\n{:>8} {:>7} {:>7}  {:<18} {:>14}  output",
-        "us", "MMAC", "GMAC/s", "operation", "shape"
+        "\n{:>8} {:>7} {:>7} {:>7}  {:<18} {:>14}  output",
+        "us", "MMAC", "MB", "GMAC/s", "operation", "shape"
     );
     for layer in layers {
         let seconds = layer.time.as_secs_f64() / f64::from(runs);
         let multiply_adds = layer.multiply_adds as f64;
         let [channels, height, width] = layer.shape;
         println!(
-            "{:>8.1} {:>7.1} {:>7.1}  {:<18} {:>14}  {}",
+            "{:>8.1} {:>7.1} {:>7.3} {:>7.1}  {:<18} {:>14}  {}",
             seconds * 1e6,
             multiply_adds / 1e6,
+            layer.bytes as f64 / 1e6,
             multiply_adds / seconds.max(1e-9) / 1e9,
             layer.operation,
             format!("{channels}x{height}x{width}"),

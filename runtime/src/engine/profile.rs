@@ -1,9 +1,10 @@
 //! How long each layer takes, for whoever asks.
 
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
-use super::layer::{Convolution, Layer, Operation, Shape};
+use super::layer::{Convolution, Form, Layer, Operand, Operation, Shape};
 
 /// One layer, or several that run as one, and how long it took.
 #[derive(Clone, Debug)]
@@ -16,17 +17,32 @@ pub struct LayerTime {
     pub shape: [usize; 3],
     /// Multiply-adds of its weights, padding not counted.
     pub multiply_adds: u64,
+    /// Bytes that it moves at least: inputs and weights read once, its output written once.
+    pub bytes: u64,
     /// Time until all threads were done with it, summed over the runs measured.
     pub time: Duration,
 }
 
 impl LayerTime {
-    pub(super) fn new(siblings: &[&Layer], shape: Shape) -> Self {
+    /// Siblings read the same input.
+    pub(super) fn new(siblings: &[&Layer], shapes: &HashMap<&str, Shape>) -> Self {
         let layer = siblings[0];
+        let shape = shapes[layer.output.as_str()];
         let pixels = (shape[1] * shape[2]) as u64;
         let weights = |layer: &&Layer| match &layer.operation {
             Operation::Convolution(convolution) => convolution.weights.len() as u64,
             _ => 0,
+        };
+        let weights: u64 = siblings.iter().map(weights).sum();
+        let bytes =
+            |name: &str, value: usize| (shapes[name].iter().product::<usize>() * value) as u64;
+        let read = |input: &Operand| {
+            let value = input.quantization.map_or(size_of::<f32>(), |_| 1);
+            bytes(&input.name, value)
+        };
+        let written = |layer: &&Layer| match layer.form {
+            Form::Bytes { .. } => bytes(&layer.output, 1),
+            Form::Floats => bytes(&layer.output, size_of::<f32>()),
         };
         Self {
             output: layer.output.clone(),
@@ -36,7 +52,10 @@ impl LayerTime {
                 shape[1],
                 shape[2],
             ],
-            multiply_adds: siblings.iter().map(weights).sum::<u64>() * pixels,
+            multiply_adds: weights * pixels,
+            bytes: layer.inputs.iter().map(read).sum::<u64>()
+                + weights
+                + siblings.iter().map(written).sum::<u64>(),
             time: Duration::ZERO,
         }
     }

@@ -264,8 +264,7 @@ impl Schedule {
             .iter()
             .map(|siblings| step(siblings, &buffers, &planes, &shapes, kernel))
             .collect::<Result<Vec<_>, _>>()?;
-        let layer =
-            |siblings: &Vec<&Layer>| LayerTime::new(siblings, shapes[siblings[0].output.as_str()]);
+        let layer = |siblings: &Vec<&Layer>| LayerTime::new(siblings, &shapes);
         let layers = order.iter().map(layer).collect();
         let team = Team::new(threads);
         let widest = steps.iter().map(scratch).max().unwrap_or(0);
