@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use gedepth::{Calibration, Engine, Estimator, Kernel, Model, OutputSize, Picture, picture};
+use gedepth_benches::{MULTIPLY_ADDS, multiply_add};
 
 const NETWORK: (u32, u32) = (640, 192);
 
@@ -52,45 +53,18 @@ fn network(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Multiply-adds per second of the VNNI unit of one core: independent sums in registers, no memory.
-#[cfg(target_arch = "x86_64")]
+/// Multiply-adds per second of the VNNI unit of one core.
 fn peak(criterion: &mut Criterion) {
-    use std::arch::x86_64::*;
-
-    const ROUNDS: u64 = 10_000;
-    const SUMS: usize = 16;
-
-    #[target_feature(enable = "avx512f,avx512vnni")]
-    fn multiply(bytes: __m512i, weights: __m512i) -> i32 {
-        let mut sums = [_mm512_setzero_si512(); SUMS];
-        for _ in 0..ROUNDS {
-            for sum in &mut sums {
-                // SAFETY: arithmetic on registers. In assembly, since the compiler would see that the rounds are alike.
-                unsafe {
-                    std::arch::asm!("vpdpbusd {}, {}, {}", inout(zmm_reg) *sum, in(zmm_reg) bytes, in(zmm_reg) weights,
-                        options(pure, nomem, nostack));
-                }
-            }
-        }
-        sums.into_iter()
-            .map(|sum| _mm512_reduce_add_epi32(sum))
-            .fold(0, i32::wrapping_add)
-    }
-
-    if !Kernel::Avx512Vnni.is_supported() {
+    if !multiply_add() {
         return;
     }
     let mut group = criterion.benchmark_group("peak of one core");
-    group.throughput(Throughput::Elements(ROUNDS * SUMS as u64 * 64));
+    group.throughput(Throughput::Elements(MULTIPLY_ADDS));
     group.bench_function("vpdpbusd, multiply-adds", |bencher| {
-        // SAFETY: the processor has the instructions, as was just asked.
-        bencher.iter(|| unsafe { multiply(_mm512_set1_epi8(3), _mm512_set1_epi8(5)) });
+        bencher.iter(multiply_add);
     });
     group.finish();
 }
-
-#[cfg(not(target_arch = "x86_64"))]
-fn peak(_: &mut Criterion) {}
 
 criterion_group!(benches, peak, network);
 criterion_main!(benches);
