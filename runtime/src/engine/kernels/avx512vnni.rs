@@ -268,7 +268,7 @@ pub(super) unsafe fn dense_bytes(
 /// As [`dense_bytes`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 pub(super) unsafe fn dense_floats(dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
-    let narrow = row.step == NARROW && dense.run % NARROW == 0;
+    let narrow = row.step == NARROW && dense.run.is_multiple_of(NARROW);
     let out = out.as_mut_ptr();
     if dense.outputs <= FEW && narrow && row.pixels >= FEW_PIXELS {
         // SAFETY: passed on; one block has all outputs, and no other lane is written.
