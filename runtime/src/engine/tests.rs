@@ -10,7 +10,7 @@ use tract_onnx::pb::{
 use tract_onnx::prelude::*;
 
 use super::island::ISLAND;
-use super::kernels::{Dense, Row};
+use super::kernels::{Dense, Depthwise, Row, ToBytes};
 use super::layer::Quantization;
 use super::{Engine, Kernel, register, to_qdq};
 use crate::model::{Model, Network};
@@ -737,6 +737,70 @@ fn few_outputs_are_the_sums_that_they_should_be() {
                         expected(output, pixel),
                         "{kernel:?}, {outputs} outputs, {pitch} bytes, output {output}, pixel {pixel}"
                     );
+                }
+            }
+        }
+    }
+}
+
+/// Kernels take 64 channels at a time; of what is left over, or is all there is, several pixels at once.
+#[test]
+fn depthwise_of_any_channels_in_rows_of_any_length() {
+    let mut numbers = Numbers(12);
+    for channels in [3_usize, 16, 20, 32, 40, 48, 80, 96] {
+        for pixels in [1_usize, 3, 4, 7, 8, 15, 16, 37] {
+            let side = [3, 5][numbers.below(2)];
+            let stride = numbers.from(1..=2);
+            let pitch = channels.next_multiple_of(16);
+            let row_bytes = pitch * ((pixels - 1) * stride + side);
+            let input: Vec<u8> = (0..side * row_bytes)
+                .map(|_| numbers.below(256) as u8)
+                .collect();
+            let filters: Vec<i8> = (0..channels * side * side)
+                .map(|_| numbers.below(255) as i8)
+                .collect();
+            let starts: Vec<i32> = (0..channels as i32).map(|c| 100 * c - 1500).collect();
+            // Powers of two: products are exact, so that there is one right byte.
+            let factors: Vec<f32> = (0..channels)
+                .map(|c| 0.25_f32.powi(3 + c as i32 % 3))
+                .collect();
+            let runs: Vec<usize> = (0..side * side)
+                .map(|tap| tap / side * row_bytes + tap % side * pitch)
+                .collect();
+            let row = Row {
+                input: &input,
+                base: 0,
+                runs: &runs,
+                step: stride * pitch,
+                pixels,
+            };
+            let to = ToBytes {
+                zero: 77,
+                range: 5..=250,
+            };
+            let expected = |channel: usize, pixel: usize| {
+                let products = (0..side * side).map(|tap| {
+                    let x = input[runs[tap] + pixel * stride * pitch + channel];
+                    i32::from(x) * i32::from(filters[channel * side * side + tap])
+                });
+                let sum = (products.sum::<i32>() + starts[channel]) as f32;
+                let step = (sum * factors[channel]).round_ties_even() + 77.0;
+                step.clamp(5.0, 250.0) as u8
+            };
+            for kernel in kernels() {
+                let depthwise =
+                    Depthwise::new(kernel, pitch, [side; 2], &filters, &starts, &factors);
+                let mut out = vec![0; pitch * pixels];
+                kernel.depthwise(&depthwise, &row, &to, &mut out);
+                for (pixel, bytes) in out.chunks_exact(pitch).enumerate() {
+                    for (channel, byte) in bytes.iter().take(channels).enumerate() {
+                        assert_eq!(
+                            *byte,
+                            expected(channel, pixel),
+                            "{kernel:?}, {channels} channels, {side}x{side} / {stride}, {pixels} pixels, \
+                             channel {channel}, pixel {pixel}"
+                        );
+                    }
                 }
             }
         }

@@ -354,7 +354,8 @@ unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
 /// Weights of a depthwise convolution for `vpdpbusd`: four rows of taps are the four bytes of a lane.
 ///
 /// Unpacking four rows of 64 channels byte by byte leaves, in register `j` and 128-bit lane `l`, the channels
-/// `16 l + 4 j` to `+ 3`; weights, starts and factors come in that order, and packing the results undoes it.
+/// `16 l + 4 j` to `+ 3`; weights, starts and factors come in that order, and packing the results undoes it. Where only
+/// 32 or 16 channels are left they come twice or four times, for as many pixels at once.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Interleaved {
     /// `[64 channels][4 rows][column][register][lane][row]`.
@@ -375,8 +376,11 @@ impl Interleaved {
         let mut packed = Self::default();
         let order = |lane: usize| (lane / 16 * 4) + (lane % 16 / 4 * 16) + lane % 4;
         for first in (0..pitch).step_by(WIDE) {
-            let channels =
-                (0..WIDE).map(|lane| Some(first + order(lane)).filter(|&channel| channel < pitch));
+            let left = WIDE.min(pitch - first);
+            let channels = (0..WIDE).map(|lane| match order(lane) {
+                channel if WIDE.is_multiple_of(left) => Some(first + channel % left),
+                channel => Some(first + channel).filter(|_| channel < left),
+            });
             for top in (0..rows).step_by(TALL) {
                 for column in 0..columns {
                     for channel in channels.clone() {
@@ -417,17 +421,39 @@ struct Strip<'a> {
 
 impl Strip<'_> {
     /// Up to four rows of one column of input, `rows[row][16 l + 4 j + i]` at byte `row` of lane `4 l + i` of register
-    /// `j`.
+    /// `j`. With `SPLIT` 2 or 4, of as many columns, `apart` bytes from one to the next, 32 or 16 channels each.
     ///
     /// # Safety
-    /// The first `count` of `rows` point to 64 bytes of input, or as many as the mask says.
+    /// The first `count` of `rows` point to 64 bytes of input, or as many as the mask says; where they are split, to as many
+    /// of each column.
     #[target_feature(enable = "avx512f,avx512bw")]
     #[inline]
-    unsafe fn column(&self, rows: [*const u8; TALL], count: usize) -> [__m512i; 4] {
+    unsafe fn column<const SPLIT: usize>(
+        &self,
+        rows: [*const u8; TALL],
+        count: usize,
+        apart: usize,
+    ) -> [__m512i; 4] {
         let mut bytes = [_mm512_setzero_si512(); TALL];
         for (bytes, row) in bytes.iter_mut().zip(rows).take(count) {
             // SAFETY: as this function's; bytes that are masked out are not touched.
-            *bytes = unsafe { _mm512_maskz_loadu_epi8(self.mask, row.cast()) };
+            *bytes = unsafe {
+                match SPLIT {
+                    1 => _mm512_maskz_loadu_epi8(self.mask, row.cast()),
+                    2 => {
+                        let half =
+                            |number: usize| _mm256_loadu_si256(row.add(number * apart).cast());
+                        _mm512_inserti64x4::<1>(_mm512_castsi256_si512(half(0)), half(1))
+                    }
+                    _ => {
+                        let part = |number: usize| _mm_loadu_si128(row.add(number * apart).cast());
+                        let four = _mm512_castsi128_si512(part(0));
+                        let four = _mm512_inserti32x4::<1>(four, part(1));
+                        let four = _mm512_inserti32x4::<2>(four, part(2));
+                        _mm512_inserti32x4::<3>(four, part(3))
+                    }
+                }
+            };
         }
         let (low, high) = (
             _mm512_unpacklo_epi8(bytes[0], bytes[1]),
@@ -445,11 +471,13 @@ impl Strip<'_> {
         ]
     }
 
-    /// `PIXELS` pixels of a kernel of `ROWS x COLUMNS` without dilation that moves by `STRIDE`.
+    /// `PIXELS` pixels of a kernel of `ROWS x COLUMNS` without dilation that moves by `STRIDE`; `SPLIT` times as many where
+    /// `1 / SPLIT` of 64 channels are left.
     ///
     /// # Safety
-    /// The row passed `Depthwise::check`, has `ROWS * COLUMNS` taps at regular distances and `PIXELS` pixels from
-    /// `pixel` on, and `out` has room for them.
+    /// The row passed `Depthwise::check`, has `ROWS * COLUMNS` taps at regular distances and `SPLIT * PIXELS` pixels from
+    /// `pixel` on, and `out` has room for them; from `channel` on it has 64 channels, or as many as the mask says, or, where
+    /// `SPLIT` is not 1, `64 / SPLIT`.
     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
     #[inline]
     unsafe fn run<
@@ -457,6 +485,7 @@ impl Strip<'_> {
         const COLUMNS: usize,
         const STRIDE: usize,
         const PIXELS: usize,
+        const SPLIT: usize,
     >(
         &self,
     ) {
@@ -494,7 +523,8 @@ impl Strip<'_> {
                     let row = |number: usize| {
                         at.add(self.row.runs[(top + number).min(ROWS - 1) * COLUMNS])
                     };
-                    self.column([row(0), row(1), row(2), row(3)], count)
+                    let apart = PIXELS * STRIDE * pitch;
+                    self.column::<SPLIT>([row(0), row(1), row(2), row(3)], count, apart)
                 };
                 for (pixel, sums) in sums.iter_mut().enumerate() {
                     let Some(tap) = column
@@ -521,30 +551,50 @@ impl Strip<'_> {
                 let of = |j: usize| scaled(sums[j], _mm512_loadu_ps(factors.add(j * BLOCK)));
                 let bytes = self.limits.pack([of(0), of(1), of(2), of(3)]);
                 let out = self.out.add((self.pixel + pixel) * pitch + self.channel);
-                _mm512_mask_storeu_epi8(out.cast(), self.mask, bytes);
+                let at = |part: usize| out.add(part * PIXELS * pitch);
+                match SPLIT {
+                    1 => _mm512_mask_storeu_epi8(out.cast(), self.mask, bytes),
+                    2 => {
+                        _mm256_storeu_si256(at(0).cast(), _mm512_castsi512_si256(bytes));
+                        _mm256_storeu_si256(at(1).cast(), _mm512_extracti64x4_epi64::<1>(bytes));
+                    }
+                    _ => {
+                        _mm_storeu_si128(at(0).cast(), _mm512_castsi512_si128(bytes));
+                        _mm_storeu_si128(at(1).cast(), _mm512_extracti32x4_epi32::<1>(bytes));
+                        _mm_storeu_si128(at(2).cast(), _mm512_extracti32x4_epi32::<2>(bytes));
+                        _mm_storeu_si128(at(3).cast(), _mm512_extracti32x4_epi32::<3>(bytes));
+                    }
+                }
             }
         }
     }
 
-    /// A row of 64 channels, in tiles of four pixels, the last one moved back onto pixels already done.
+    /// A row of 64 channels, in tiles of four pixels, the last one moved back onto pixels already done. Of the last 32 or 16
+    /// channels two or four tiles at once, so that no register is half empty.
     ///
     /// # Safety
     /// As [`Strip::run`], for the whole row.
     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
     unsafe fn row<const ROWS: usize, const COLUMNS: usize, const STRIDE: usize>(&mut self) {
         let pixels = self.row.pixels;
+        let split = WIDE / self.mask.count_ones() as usize;
         // SAFETY: all tiles lie in the row.
         unsafe {
             if pixels < 4 {
                 for pixel in 0..pixels {
                     self.pixel = pixel;
-                    self.run::<ROWS, COLUMNS, STRIDE, 1>();
+                    self.run::<ROWS, COLUMNS, STRIDE, 1, 1>();
                 }
                 return;
             }
-            for pixel in (0..pixels).step_by(4) {
-                self.pixel = pixel.min(pixels - 4);
-                self.run::<ROWS, COLUMNS, STRIDE, 4>();
+            let tile = if pixels < 4 * split { 4 } else { 4 * split };
+            for pixel in (0..pixels).step_by(tile) {
+                self.pixel = pixel.min(pixels - tile);
+                match tile {
+                    4 => self.run::<ROWS, COLUMNS, STRIDE, 4, 1>(),
+                    8 => self.run::<ROWS, COLUMNS, STRIDE, 4, 2>(),
+                    _ => self.run::<ROWS, COLUMNS, STRIDE, 4, 4>(),
+                }
             }
         }
     }
