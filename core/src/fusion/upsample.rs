@@ -177,13 +177,13 @@ impl Columns<'_> {
                     *out = *value;
                 }
             }
-            Self::Twice => widen::<2>(row, out, [0.75, 0.25]),
-            Self::FourTimes => widen::<4>(row, out, [0.625, 0.875, 0.125, 0.375]),
-            Self::EightTimes => widen::<8>(
+            Self::Twice => widen(row, out, [0.25, 0.75]),
+            Self::FourTimes => widen(row, out, [0.125, 0.375, 0.625, 0.875]),
+            Self::EightTimes => widen(
                 row,
                 out,
                 [
-                    0.5625, 0.6875, 0.8125, 0.9375, 0.0625, 0.1875, 0.3125, 0.4375,
+                    0.0625, 0.1875, 0.3125, 0.4375, 0.5625, 0.6875, 0.8125, 0.9375,
                 ],
             ),
             Self::Any { before, share } => {
@@ -204,44 +204,25 @@ fn lerp(a: f32, b: f32, share: f32) -> f32 {
     a + share * (b - a)
 }
 
-/// Half-pixel upsampling of a row to `S` times its width: the first half of each block of `S` lies between the source
-/// pixel before and its own, the second half between its own and the one after.
+/// Half-pixel upsampling of a row to `S` times its width: `S` values between the centres of each two source pixels, at
+/// `shares` of the way; beyond the first and the last centre, that pixel.
 #[inline(always)]
 fn widen<const S: usize>(row: &[f32], out: &mut [f32], shares: [f32; S]) {
-    let (blocks, _) = out.as_chunks_mut::<S>();
-    let (Some(first), Some(last)) = (row.first(), row.last()) else {
+    let (Some(first), Some(last), Some((left, rest))) =
+        (row.first(), row.last(), out.split_at_mut_checked(S / 2))
+    else {
         return;
     };
-    if let (Some(out), [own, rest @ ..]) = (blocks.first_mut(), row) {
-        widen_pixel([*first, *own, *rest.first().unwrap_or(own)], shares, out);
-    }
-    if let (Some(out), [before, own]) = (
-        blocks.get_mut(1..).and_then(<[_]>::last_mut),
-        row.last_chunk::<2>().unwrap_or(&[*last, *last]),
-    ) {
-        widen_pixel([*before, *own, *own], shares, out);
-    }
-    let inner = blocks.get_mut(1..).unwrap_or_default();
-    for (neighbours, out) in row.windows(3).zip(inner) {
-        if let [before, own, after] = *neighbours {
-            widen_pixel([before, own, after], shares, out);
+    left.fill(*first);
+    let (blocks, right) = rest.as_chunks_mut::<S>();
+    for (pair, block) in row.windows(2).zip(blocks) {
+        if let [before, after] = *pair {
+            for (out, share) in block.iter_mut().zip(shares) {
+                *out = lerp(before, after, share);
+            }
         }
     }
-}
-
-#[inline(always)]
-fn widen_pixel<const S: usize>(
-    [before, own, after]: [f32; 3],
-    shares: [f32; S],
-    out: &mut [f32; S],
-) {
-    for (k, (out, share)) in out.iter_mut().zip(shares).enumerate() {
-        *out = if k < S / 2 {
-            lerp(before, own, share)
-        } else {
-            lerp(own, after, share)
-        };
-    }
+    right.fill(*last);
 }
 
 #[cfg(test)]
