@@ -464,3 +464,19 @@ fn bench_measures_every_stage() {
     assert_eq!(numbers.len(), 3, "{raw}");
     assert!(numbers.iter().all(|run| run.len() == 3), "{raw}");
 }
+
+/// `gedepth inspect | head -n 1`: what is left of the output has nobody to read it.
+#[test]
+fn a_reader_who_leaves_is_no_error() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_gedepth"))
+        .arg("inspect")
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{message}");
+    assert_eq!(message, "");
+}

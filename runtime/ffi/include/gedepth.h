@@ -399,8 +399,7 @@ int32_t gedepth_camera_statistics(const struct gedepth_camera *camera, struct ge
 
 // What the camera's last picture says about its calibration (before the first, a blank one). Allocates nothing; takes
 // less than 1 ms for a megapixel of maps, and a fusion where the picture's maps were not asked for.
-int32_t gedepth_camera_plausibility(const struct gedepth_camera *camera,
-                                    struct gedepth_plausibility *plausibility);
+int32_t gedepth_camera_plausibility(const struct gedepth_camera *camera, struct gedepth_plausibility *plausibility);
 
 // Closes a camera and ends its threads; null is none. No other call may be using it.
 void gedepth_camera_close(struct gedepth_camera *camera);

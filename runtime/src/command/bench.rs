@@ -52,18 +52,22 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if arguments.raw {
         for run in times {
             let [preprocess, network, fusion] = run.map(|time| time.as_secs_f64() * 1e6);
-            println!("{preprocess:.1} {network:.1} {fusion:.1}");
+            say!("{preprocess:.1} {network:.1} {fusion:.1}");
         }
         return Ok(());
     }
     let (width, height) = opened.estimator.placement().network;
-    println!(
+    say!(
         "network {width} x {height}; prepare {:.1} ms",
         milliseconds(opened.prepare)
     );
-    println!(
+    say!(
         "{:<10} {:>8} {:>8} {:>8} {:>10}",
-        "ms", "least", "median", "p99", "p99/median"
+        "ms",
+        "least",
+        "median",
+        "p99",
+        "p99/median"
     );
     for (stage, name) in ["preprocess", "network", "fusion"].into_iter().enumerate() {
         print(name, times.iter().map(|run| run[stage]));
@@ -77,15 +81,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 
 /// Mean times of the layers, what they do at least, and their throughput.
 fn print_layers(layers: &[LayerTime], runs: u32) {
-    println!(
+    say!(
         "\n{:>8} {:>7} {:>7} {:>7}  {:<18} {:>14}  output",
-        "us", "MMAC", "MB", "GMAC/s", "operation", "shape"
+        "us",
+        "MMAC",
+        "MB",
+        "GMAC/s",
+        "operation",
+        "shape"
     );
     for layer in layers {
         let seconds = layer.time.as_secs_f64() / f64::from(runs);
         let multiply_adds = layer.multiply_adds as f64;
         let [channels, height, width] = layer.shape;
-        println!(
+        say!(
             "{:>8.1} {:>7.1} {:>7.3} {:>7.1}  {:<18} {:>14}  {}",
             seconds * 1e6,
             multiply_adds / 1e6,
@@ -107,7 +116,7 @@ fn print(name: &str, times: impl Iterator<Item = Duration>) {
     sorted.sort_by(f64::total_cmp);
     let at = |part: f64| sorted[((sorted.len() - 1) as f64 * part).round() as usize];
     let (median, p99) = (at(0.5), at(0.99));
-    println!(
+    say!(
         "{name:<10} {:>8.3} {median:>8.3} {p99:>8.3} {:>10.2}",
         at(0.0),
         p99 / median

@@ -28,7 +28,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
             path: "standard output".into(),
             reason: e.to_string(),
         })?;
-        println!("{json}");
+        say!("{json}");
     } else {
         print(&inspection, model.engine());
     }
@@ -36,20 +36,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 }
 
 fn print(inspection: &Inspection, engine: Engine) {
-    println!("{:<12}{}", "model", inspection.path.display());
+    say!("{:<12}{}", "model", inspection.path.display());
     for (entry, value) in &inspection.contract {
-        println!("{:<12}{entry} = {value}", "contract");
+        say!("{:<12}{entry} = {value}", "contract");
     }
     for (label, tensors) in [
         ("input", &inspection.inputs),
         ("output", &inspection.outputs),
     ] {
         for tensor in tensors {
-            println!("{label:<12}{} [{}]", tensor.name, tensor.shape.join(", "));
+            say!("{label:<12}{} [{}]", tensor.name, tensor.shape.join(", "));
         }
     }
     let weights = inspection.weights;
-    println!(
+    say!(
         "{:<12}{} numbers in {} tensors, {:.2} MB",
         "weights",
         weights.numbers,
@@ -66,18 +66,18 @@ fn print(inspection: &Inspection, engine: Engine) {
         _ => "tract alone".to_owned(),
     };
     let (width, height) = inspection.size;
-    println!("{:<12}by {by}, at {width}x{height}", "runs");
+    say!("{:<12}by {by}, at {width}x{height}", "runs");
     if let Engine::Quantized { kernel, threads } = engine {
-        println!("{:<12}{kernel:?}, {threads} threads", "engine");
+        say!("{:<12}{kernel:?}, {threads} threads", "engine");
     }
     let inside = |node: &&gedepth::InspectedNode| matches!(node.place, Place::Engine { .. });
     let count = inspection.nodes.iter().filter(inside).count();
-    println!(
+    say!(
         "{:<12}{count} in the engine, {} in tract",
         "nodes",
         inspection.nodes.len() - count
     );
-    println!();
+    say!("");
     for node in &inspection.nodes {
         let place = match &node.place {
             Place::Engine {
@@ -89,6 +89,6 @@ fn print(inspection: &Inspection, engine: Engine) {
             Place::Tract { reason, .. } => format!("tract: {reason}"),
             _ => String::new(),
         };
-        println!("{:<18} {place:<50} {}", node.operator, node.output);
+        say!("{:<18} {place:<50} {}", node.operator, node.output);
     }
 }

@@ -1,11 +1,26 @@
 //! The subcommands, one file each, and what they share: what they are given, and how outputs are written.
 
+use std::io::{ErrorKind, Write, stdout};
+
+/// Prints a line, as `println!`, but for readers who have seen enough (`gedepth inspect | head`): they are no error.
+macro_rules! say {
+    ($($line:tt)*) => { $crate::command::say(format_args!($($line)*)) };
+}
+
 pub(crate) mod bench;
 pub(crate) mod eval;
 pub(crate) mod inputs;
 pub(crate) mod inspect;
 pub(crate) mod output;
 pub(crate) mod run;
+
+fn say(line: std::fmt::Arguments<'_>) {
+    if let Err(e) = writeln!(stdout(), "{line}")
+        && e.kind() != ErrorKind::BrokenPipe
+    {
+        eprintln!("gedepth: the standard output cannot be written: {e}");
+    }
+}
 
 /// Parses `WIDTHxHEIGHT`.
 fn size(text: &str) -> Result<(u32, u32), String> {

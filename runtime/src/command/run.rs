@@ -49,19 +49,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let (near, far) = range(maps.depth);
     let pixels = maps.depth.len() as f32;
     let ground = maps.ground.iter().filter(|&&z| z > 0.0).count() as f32;
-    println!("picture     {pw} x {ph}");
-    println!(
+    say!("picture     {pw} x {ph}");
+    say!(
         "network     {nw} x {nh}, {}, {}",
-        contract.mode, contract.network
+        contract.mode,
+        contract.network
     );
     match placement.region == picture.size() {
-        true => println!("depth       {w} x {h}, {near:.2} to {far:.2} m"),
-        false => println!(
+        true => say!("depth       {w} x {h}, {near:.2} to {far:.2} m"),
+        false => say!(
             "depth       {w} x {h} from column {}, row {} on, {near:.2} to {far:.2} m",
-            placement.left, placement.top
+            placement.left,
+            placement.top
         ),
     }
-    println!(
+    say!(
         "ground      seen by {:.1} % of the pixels within {} m, from {:.2} m on",
         100.0 * ground / pixels,
         contract.depth_range.max(),
@@ -83,9 +85,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         ("network", network, ""),
         ("fusion", fusion, ""),
     ] {
-        println!("{stage:<10} {:>7.1} ms{note}", time.as_secs_f64() * 1e3);
+        say!("{stage:<10} {:>7.1} ms{note}", time.as_secs_f64() * 1e3);
     }
-    println!("written to  {}", arguments.out.display());
+    say!("written to  {}", arguments.out.display());
     Ok(())
 }
 

@@ -160,7 +160,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         files.push((path.clone(), report.json().into_bytes()));
     }
     write_together(&files)?;
-    print!("{tables}");
+    say!("{}", tables.trim_end());
     Ok(())
 }
 
