@@ -138,6 +138,8 @@ pub(crate) struct ToBytes {
 /// Weights of a dense convolution, packed, with start and factor of each output channel.
 #[derive(Clone, Debug)]
 pub(crate) struct Dense {
+    /// Of the lanes, those that are outputs.
+    #[cfg(target_arch = "x86_64")]
     outputs: usize,
     /// Blocks that hold the output channels.
     blocks: usize,
@@ -199,6 +201,7 @@ impl Dense {
         let mut factors = factors.to_vec();
         factors.extend(std::iter::repeat_n(0.0, padded(blocks * BLOCK)));
         Self {
+            #[cfg(target_arch = "x86_64")]
             outputs,
             blocks,
             runs,
