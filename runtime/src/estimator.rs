@@ -213,8 +213,8 @@ impl Estimator {
         .map_err(|e| self.network.outputs().0.unfit(e))
     }
 
-    /// All maps of the last picture (before the first, a black one). Most users want the depth alone, so ground and
-    /// attention are made when asked for, by fusing once more. Allocates nothing where the engine runs the whole network.
+    /// All maps of the last picture that ran (before the first, a black one). Most users want the depth alone, so ground
+    /// and attention are made when asked for, by fusing once more. Allocates nothing where the engine runs the whole network.
     pub fn maps(&mut self) -> Result<Maps<'_>, Error> {
         if !self.all_maps_made {
             self.fuse(true)?;

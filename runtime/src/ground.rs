@@ -62,3 +62,46 @@ impl GroundRows for OutputGround {
         }
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::expect_used)]
+mod tests {
+    use gedepth_core::Angle;
+    use gedepth_core::camera::{BrownConrady, Intrinsics, Pinhole};
+
+    use super::*;
+
+    fn rows(ground: &OutputGround) -> Vec<f32> {
+        let width = ground.size().width() as usize;
+        let mut rows = vec![0.0; ground.size().pixels()];
+        for (v, row) in (0..).zip(rows.chunks_exact_mut(width)) {
+            ground.write_row(v, row).expect("a row");
+        }
+        rows
+    }
+
+    /// Coefficients and table are the same ground, whichever the camera takes.
+    #[test]
+    fn every_camera_sees_the_ground_of_its_table() {
+        let size = ImageSize::new(640, 192).expect("a size");
+        let intrinsics = Intrinsics::new(size, 380.0, 380.0, 314.0, 90.0).expect("intrinsics");
+        let degrees = Angle::from_degrees;
+        let ground =
+            Ground::from_mounting(1.65, degrees(0.6), degrees(-0.5)).expect("a camera above it");
+        let lens =
+            BrownConrady::new(intrinsics, [-0.3, 0.12, 0.0005, -0.0004, -0.02]).expect("a lens");
+        let pinhole = Pinhole::new(intrinsics);
+        let mut table = vec![0.0; GroundView::len(size)];
+
+        let kept = OutputGround::new(&lens, &ground).expect("a ground");
+        assert!(matches!(kept, OutputGround::Table { .. }));
+        GroundView::build(&mut table, &lens, &ground).expect("a table");
+        assert_eq!(rows(&kept), table);
+
+        let made = OutputGround::new(&pinhole, &ground).expect("a ground");
+        assert!(matches!(made, OutputGround::Pinhole(_)));
+        let view = GroundView::build(&mut table, &pinhole, &ground).expect("a table");
+        assert_eq!(made.camera_height(), view.camera_height());
+        assert_eq!(rows(&made), table);
+    }
+}

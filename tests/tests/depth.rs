@@ -105,3 +105,32 @@ fn every_real_frame_runs() {
         assert!(error.is_finite());
     }
 }
+
+/// Ground and attention are made when asked for: of the picture that ran last, whichever ran or was asked about before, and
+/// beside the depth that the run gave.
+#[test]
+fn maps_are_of_the_last_picture() {
+    for name in ["adaptive-int8.onnx", "adaptive-f32.onnx"] {
+        let frame = root().join("fixtures/scenes/street");
+        let image = picture::read(&gedepth_tests::picture(&frame)).expect("a picture");
+        let calibration =
+            Calibration::read(&frame.join("calibration.json")).expect("a calibration");
+        let (size, network) = (image.dimensions(), Some((320, 96)));
+        let model = shipped_model(name);
+        let mut estimator =
+            Estimator::new(&model, &calibration, size, network, OutputSize::Network)
+                .expect("an estimator");
+        let mut maps_of = |picture: Picture<'_>| {
+            let depth = estimator.run(picture).expect("depth").depth.to_vec();
+            let maps = estimator.maps().expect("maps");
+            assert_eq!(maps.depth, depth, "{name}");
+            let attention = maps.attention.expect("an attention").to_vec();
+            (maps.ground.to_vec(), attention)
+        };
+        let grey = vec![128; image.as_raw().len()];
+        let street = maps_of(Picture::from(&image));
+        let wall = maps_of(Picture::new(size, &grey).expect("a picture"));
+        assert!(street.0 != wall.0 && street.1 != wall.1, "{name}");
+        assert!(street == maps_of(Picture::from(&image)), "{name}");
+    }
+}

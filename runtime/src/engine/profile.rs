@@ -34,8 +34,10 @@ impl LayerTime {
             _ => 0,
         };
         let weights: u64 = siblings.iter().map(weights).sum();
-        let bytes =
-            |name: &str, value: usize| (shapes[name].iter().product::<usize>() * value) as u64;
+        let bytes = |name: &str, value: usize| {
+            let values = shapes.get(name).map_or(0, |shape| shape.iter().product());
+            (values * value) as u64
+        };
         let read = |input: &Operand| {
             let value = input.quantization.map_or(size_of::<f32>(), |_| 1);
             bytes(&input.name, value)
