@@ -30,7 +30,7 @@
 //! # Errors and panics
 //!
 //! Wrong lengths are errors, and so are head values that are not finite (in rows that are read: all, unless a head is made
-//! smaller); after an error outputs hold a part of the picture. Nothing panics.
+//! smaller; of slopes those where there can be ground); after an error outputs hold a part of the picture. Nothing panics.
 
 mod decode;
 mod head;
@@ -50,6 +50,9 @@ use crate::camera::ImageSize;
 use crate::polynomial::clamp;
 use crate::table::{GroundRows, MIN_INVERSE_DEPTH};
 use decode::{Plane, SlopeTangent};
+
+/// Far more than what rounding adds to a slope's tangent and to the ground it makes, as a share.
+const SLACK: f32 = 1e-4;
 
 /// The range that output depths are clamped to, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -252,42 +255,65 @@ impl Fusion {
         let mut residual = Plane::residual(residual, self.upsampling, output, scratch)?;
         let mut attention = Plane::attention(attention, self.upsampling, output, scratch)?;
         let per_height = 1.0 / ground.camera_height();
+        // Where no inverse plane depth of a row reaches this, no slope makes ground of it.
+        let climb = slope
+            .as_ref()
+            .map_or(0.0, |(slope, _)| slope.steepest_climb());
+        let nearly_ground = self.ground_floor * (1.0 - SLACK) - climb * per_height * (1.0 + SLACK);
         let ground_row = scratch.take(width)?;
         let attention_row = scratch.take(width)?;
         let mut attention_map = maps.attention.map(|map| map.chunks_exact_mut(width));
         let mut ground_map = maps.ground.map(|map| map.chunks_exact_mut(width));
         for (v, depth_row) in rows.zip(maps.depth.chunks_exact_mut(width)) {
-            ground.write_row(v, ground_row)?;
-            if let Some((slope, tangents)) = &mut slope {
-                slope.row(v, tangents)?;
-                for (inverse, tangent) in ground_row.iter_mut().zip(tangents.iter()) {
-                    *inverse -= tangent * per_height;
-                }
-            }
             residual.row(v, depth_row)?;
             attention.row(v, attention_row)?;
-            for ((depth, ground), m) in depth_row
-                .iter_mut()
-                .zip(ground_row.iter_mut())
-                .zip(attention_row.iter())
-            {
-                let z = if *ground >= self.ground_floor {
-                    1.0 / *ground
-                } else {
-                    0.0
-                };
-                *ground = z;
-                let fused = *depth + m * (z - *depth);
-                *depth = clamp(fused, self.depth.min, self.depth.max);
+            // Half of a picture lies above all ground, whatever its slope: no slopes, no divisions.
+            let ground_ahead = ground.row_bound(v) >= nearly_ground;
+            if ground_ahead {
+                ground.write_row(v, ground_row)?;
+                if let Some((slope, tangents)) = &mut slope {
+                    slope.row(v, tangents)?;
+                    for (inverse, tangent) in ground_row.iter_mut().zip(tangents.iter()) {
+                        *inverse -= tangent * per_height;
+                    }
+                }
+                for ((depth, ground), m) in depth_row
+                    .iter_mut()
+                    .zip(ground_row.iter_mut())
+                    .zip(attention_row.iter())
+                {
+                    let z = if *ground >= self.ground_floor {
+                        1.0 / *ground
+                    } else {
+                        0.0
+                    };
+                    *ground = z;
+                    *depth = self.blend(*depth, *m, z);
+                }
+            } else {
+                for (depth, m) in depth_row.iter_mut().zip(attention_row.iter()) {
+                    *depth = self.blend(*depth, *m, 0.0);
+                }
             }
             if let Some(row) = attention_map.as_mut().and_then(Iterator::next) {
                 copy(attention_row, row);
             }
             if let Some(row) = ground_map.as_mut().and_then(Iterator::next) {
-                copy(ground_row, row);
+                if ground_ahead {
+                    copy(ground_row, row);
+                } else {
+                    row.fill(0.0);
+                }
             }
         }
         Ok(())
+    }
+
+    /// `M z_ground + (1 - M) z_residual`, in range.
+    #[inline(always)]
+    fn blend(&self, residual: f32, m: f32, ground: f32) -> f32 {
+        let fused = residual + m * (ground - residual);
+        clamp(fused, self.depth.min, self.depth.max)
     }
 }
 

@@ -66,6 +66,13 @@ pub trait GroundRows {
     /// # Errors
     /// [`Error::GroundRow`] if there is no such row or `row` has another length.
     fn write_row(&self, v: u32, row: &mut [f32]) -> Result<(), Error>;
+
+    /// No value of row `v` is larger than this, 1/m: what a source can say without looking at the row, infinity where
+    /// it cannot. Fusion spares itself rows that lie above all ground.
+    fn row_bound(&self, v: u32) -> f32 {
+        let _ = v;
+        f32::INFINITY
+    }
 }
 
 /// Writes the planar ground depth in metres, 0 where there is no ground or where it is beyond `max_depth`: what a

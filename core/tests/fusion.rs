@@ -9,7 +9,7 @@ use gedepth_core::fusion::{
     ResidualHead, ResidualUnit, Samples, SlopeHead, Upsampling, scratch_len,
 };
 use gedepth_core::slope::{SlopeClasses, SlopeSign};
-use gedepth_core::table::GroundView;
+use gedepth_core::table::{GroundRows, GroundView};
 use proptest::prelude::*;
 
 const HEIGHT: f64 = 1.6;
@@ -241,6 +241,40 @@ fn fuse_rows(
     samples: [Samples<'_>; 3],
     rows: std::ops::Range<u32>,
 ) -> Result<Fused, Error> {
+    let ground = GroundView::from_values(&case.ground, case.output, HEIGHT as f32)?;
+    fuse_on(&Bounded(ground), case, mode, samples, rows)
+}
+
+/// A source that knows the largest value of each row.
+struct Bounded<'a>(GroundView<'a>);
+
+impl GroundRows for Bounded<'_> {
+    fn size(&self) -> ImageSize {
+        self.0.size()
+    }
+
+    fn camera_height(&self) -> f32 {
+        self.0.camera_height()
+    }
+
+    fn write_row(&self, v: u32, row: &mut [f32]) -> Result<(), Error> {
+        self.0.write_row(v, row)
+    }
+
+    fn row_bound(&self, v: u32) -> f32 {
+        let mut row = vec![0.0; self.size().width() as usize];
+        self.write_row(v, &mut row).unwrap();
+        row.into_iter().fold(f32::MIN, f32::max)
+    }
+}
+
+fn fuse_on(
+    ground: &impl GroundRows,
+    case: &Case,
+    mode: Mode,
+    samples: [Samples<'_>; 3],
+    rows: std::ops::Range<u32>,
+) -> Result<Fused, Error> {
     let classes = classes();
     let residual = ResidualHead {
         map: HeadMap::new(samples[0], 1, case.head)?,
@@ -257,7 +291,6 @@ fn fuse_rows(
         classes: &classes,
         decode_at: case.at,
     };
-    let ground = GroundView::from_values(&case.ground, case.output, HEIGHT as f32)?;
     let pixels = rows.len() * case.output.width() as usize;
     let mut fused = Fused {
         depth: vec![f32::NAN; pixels],
@@ -274,9 +307,9 @@ fn fuse_rows(
     };
     match mode {
         Mode::Baseline => fusion.baseline(case.output, &residual, &mut scratch, maps.depth)?,
-        Mode::Vanilla => fusion.vanilla(&ground, &residual, &attention, &mut scratch, maps)?,
+        Mode::Vanilla => fusion.vanilla(ground, &residual, &attention, &mut scratch, maps)?,
         Mode::Adaptive => {
-            fusion.adaptive(&ground, &residual, &attention, &slope, &mut scratch, maps)?
+            fusion.adaptive(ground, &residual, &attention, &slope, &mut scratch, maps)?
         }
     }
     Ok(fused)
@@ -401,6 +434,23 @@ proptest! {
         }
     }
 
+    /// A source that knows which rows lie above all ground gives the very bytes of one that does not.
+    #[test]
+    fn bounds_of_rows_change_nothing(case in case(), lowered in 0.0..0.5_f32) {
+        let mut case = case;
+        for (i, inverse) in case.ground.iter_mut().enumerate() {
+            *inverse -= lowered * (i / case.output.width() as usize % 2) as f32;
+        }
+        let ground = GroundView::from_values(&case.ground, case.output, HEIGHT as f32).unwrap();
+        for mode in [Mode::Vanilla, Mode::Adaptive] {
+            let rows = 0..case.output.height();
+            let known = fuse(&case, mode, floats(&case)).unwrap();
+            let unknown = fuse_on(&ground, &case, mode, floats(&case), rows).unwrap();
+            prop_assert_eq!((known.depth, known.ground), (unknown.depth, unknown.ground));
+            prop_assert_eq!(known.attention, unknown.attention);
+        }
+    }
+
     /// 8-bit heads are what they stand for, to the last bit.
     #[test]
     fn quantized_heads(
@@ -450,7 +500,14 @@ proptest! {
         for mode in [Mode::Vanilla, Mode::Adaptive] {
             match fuse(&case, mode, floats(&case)) {
                 Ok(fused) => {
-                    prop_assert!(value.is_finite() || (mode == Mode::Vanilla && head == 2));
+                    // Slopes are not looked at where there is no ground, nor without a slope head.
+                    prop_assert!(value.is_finite() || head == 2);
+                    if !value.is_finite() {
+                        let mut without = case.clone();
+                        without.slope[i] = 0.0;
+                        let without = fuse(&without, mode, floats(&without)).unwrap();
+                        prop_assert_eq!((&fused.depth, &fused.ground), (&without.depth, &without.ground));
+                    }
                     prop_assert!(fused.depth.iter().all(|d| (MIN as f32..=MAX as f32).contains(d)));
                     prop_assert!(fused.attention.iter().all(|m| (-1e-6..=1.0 + 1e-6).contains(m)));
                 }
@@ -535,6 +592,39 @@ fn slope_signs_reach_the_depth() {
     let tan = 2_f32.to_radians().tan() / 2.0;
     assert!((expect(SlopeSign::DownhillPositive, 2.0) - 1.0 / (0.1 - tan)).abs() < 1e-4);
     assert!((expect(SlopeSign::UphillPositive, 2.0) - 1.0 / (0.1 + tan)).abs() < 1e-4);
+}
+
+/// Rows that lie above all ground, whatever the slope, are told from those where the steepest climb just brings some.
+#[test]
+fn ground_begins_where_the_steepest_climb_brings_it() {
+    let size = row(3);
+    let climb = 8_f64.to_radians().tan() / HEIGHT;
+    for (slack, any) in [(1e-3, true), (-1e-3, false)] {
+        let inverse = 1.0 / LIMIT * (1.0 + slack) - climb;
+        let mut slope = vec![-40.0; 8 * 3];
+        slope[3 * 7..].fill(40.0); // the last class: 8 degrees uphill
+        let case = Case {
+            output: size,
+            head: size,
+            ground: vec![-0.5, inverse as f32, -0.5],
+            residual: vec![30.0; 3],
+            attention: vec![0.5; 3],
+            slope,
+            upsampling: Upsampling::HalfPixel,
+            at: DecodeAt::HeadSize,
+            units: (ResidualUnit::Metres, AttentionUnit::Probability),
+        };
+        let fused = fuse(&case, Mode::Adaptive, floats(&case)).unwrap();
+        let ground = if any { LIMIT / (1.0 + slack) } else { 0.0 };
+        assert!(
+            (f64::from(fused.ground[1]) - ground).abs() < 0.1,
+            "{:?}",
+            fused.ground
+        );
+        assert_eq!((fused.ground[0], fused.ground[2]), (0.0, 0.0));
+        assert!((f64::from(fused.depth[1]) - (15.0 + ground / 2.0).min(MAX)).abs() < 0.1);
+        agrees(&case, Mode::Adaptive).unwrap();
+    }
 }
 
 /// Fusion of every pixel's own numbers does not depend on what other pixels hold, nor on leaving maps out.

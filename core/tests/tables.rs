@@ -44,6 +44,7 @@ fn rows(table: &dyn GroundRows) -> Vec<f32> {
     let mut values = vec![0.0; size.pixels()];
     for (v, row) in (0..).zip(values.chunks_exact_mut(size.width() as usize)) {
         table.write_row(v, row).unwrap();
+        assert!(row.iter().all(|value| *value <= table.row_bound(v)));
     }
     values
 }

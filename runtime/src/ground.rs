@@ -61,6 +61,13 @@ impl GroundRows for OutputGround {
             } => GroundView::from_values(values, *size, *height)?.write_row(v, row),
         }
     }
+
+    fn row_bound(&self, v: u32) -> f32 {
+        match self {
+            Self::Pinhole(coefficients) => coefficients.row_bound(v),
+            Self::Table { .. } => f32::INFINITY,
+        }
+    }
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use gedepth::{
     Calibration, Engine, Estimator, Kernel, Model, Numbers, OutputSize, Picture, picture,
@@ -103,7 +103,12 @@ fn main() -> ExitCode {
     for (mode, name) in MODES.iter().enumerate() {
         let time = median(rounds.iter().map(|round| round.times[mode]).collect());
         let pictures = rounds.len() * TURNS;
-        println!("{name}: {time:.3} ms, median of {pictures} pictures");
+        let [preprocess, network, fusion] =
+            [0, 1, 2].map(|stage| median(rounds.iter().map(|r| r.stages[mode][stage]).collect()));
+        println!(
+            "{name}: {time:.3} ms (preprocessing {preprocess:.3}, network {network:.3}, fusion {fusion:.3}), \
+             median of {pictures} pictures"
+        );
     }
     for Budget { mode, time, .. } in BUDGETS {
         let [low, middle, high] = excess(&rounds, mode);
@@ -147,6 +152,8 @@ fn report(mode: usize, what: &str, excess: f64, interval: &str, budget: f64, hel
 struct Round {
     /// Median times, milliseconds, by mode.
     times: [f64; 3],
+    /// Of preprocessing, network, fusion, by mode.
+    stages: [[f64; 3]; 3],
 }
 
 impl Round {
@@ -156,16 +163,24 @@ impl Round {
                 .expect("an estimator")
         });
         let mut times: [Vec<f64>; 3] = Default::default();
+        let mut stages: [[Vec<f64>; 3]; 3] = Default::default();
         for turn in 0..WARM_UP + TURNS {
             // Another mode begins each turn, so that none always follows the same one.
             for mode in (0..3).map(|next| (turn + next) % 3) {
                 let start = Instant::now();
-                estimators[mode].run(picture).expect("depth");
-                times[mode].push(start.elapsed().as_secs_f64() * 1e3);
+                let taken = estimators[mode].run(picture).expect("depth").times;
+                times[mode].push(milliseconds(start.elapsed()));
+                let taken = [taken.preprocess, taken.network, taken.fusion];
+                for (stage, taken) in stages[mode].iter_mut().zip(taken) {
+                    stage.push(milliseconds(taken));
+                }
             }
         }
-        let times = times.map(|times| median(times[WARM_UP..].to_vec()));
-        Self { times }
+        let middle = |times: Vec<f64>| median(times[WARM_UP..].to_vec());
+        Self {
+            times: times.map(middle),
+            stages: stages.map(|stages| stages.map(middle)),
+        }
     }
 }
 
@@ -180,6 +195,10 @@ fn excess(rounds: &[Round], mode: usize) -> [f64; 3] {
     let n = ratios.len() as f64;
     let off = 1.96 * n.sqrt() / 2.0;
     [n / 2.0 - off, n / 2.0, n / 2.0 + off].map(|rank| ratios[rank.floor() as usize])
+}
+
+fn milliseconds(time: Duration) -> f64 {
+    1e3 * time.as_secs_f64()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -17,7 +17,7 @@ use gedepth_core::fusion::{
     ResidualUnit, Samples, SlopeHead, Upsampling, scratch_len,
 };
 use gedepth_core::slope::{SlopeClasses, SlopeSign};
-use gedepth_core::table::{FixedView, GroundRows, GroundView, RayView};
+use gedepth_core::table::{FixedView, GroundCoefficients, GroundRows, GroundView, RayView};
 use gedepth_core::{Angle, Ground};
 
 const WIDTH: u32 = 1216;
@@ -142,7 +142,7 @@ fn wave(count: usize, scale: f32, offset: f32) -> Vec<f32> {
 /// What a fusion reads and writes.
 struct Maps<'a> {
     fusion: Fusion,
-    ground: GroundView<'a>,
+    ground: GroundCoefficients,
     residual: ResidualHead<'a>,
     attention: AttentionHead<'a>,
     slope: SlopeHead<'a>,
@@ -169,7 +169,6 @@ fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode)) {
         HeadMap::new(Samples::F32(values), channels, size).expect("as many values as the size says")
     };
     let decode_at = DecodeAt::HeadSize;
-    let mut memory = vec![0.0; GroundView::len(size())];
     let mut maps = Maps {
         fusion: Fusion::new(
             Upsampling::HalfPixel,
@@ -177,7 +176,7 @@ fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode)) {
             200.0,
         )
         .expect("a valid limit"),
-        ground: GroundView::build(&mut memory, &pinhole(), &ground()).expect("enough memory"),
+        ground: GroundCoefficients::new(&intrinsics(), &ground()),
         residual: ResidualHead {
             map: map(&residual, 1, half),
             unit: ResidualUnit::LogMetres,

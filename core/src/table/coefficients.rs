@@ -108,4 +108,13 @@ impl GroundRows for GroundCoefficients {
         self.fill_row(v, row);
         Ok(())
     }
+
+    /// The larger end of the row, and more than what rounding adds.
+    fn row_bound(&self, v: u32) -> f32 {
+        let [left, right] =
+            [0, self.size.width() - 1].map(|u| self.inverse_depth(f64::from(u), f64::from(v)));
+        let largest = left.max(right);
+        let rounding = f64::from(f32::EPSILON) * (largest.abs() + 16.0 * self.per_column.abs());
+        (largest + 2.0 * rounding) as f32
+    }
 }

@@ -104,6 +104,13 @@ impl GroundRows for RowView<'_> {
             _ => Err(Error::GroundRow { row: v }),
         }
     }
+
+    fn row_bound(&self, v: u32) -> f32 {
+        self.values
+            .get(v as usize)
+            .copied()
+            .unwrap_or(f32::INFINITY)
+    }
 }
 
 /// A table of one value a row that owns its memory, for pictures of up to `N` rows; it fits a `static`.
