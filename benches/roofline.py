@@ -17,6 +17,7 @@ import datetime
 import math
 import os
 import pathlib
+import re
 import statistics
 import subprocess
 import sys
@@ -51,10 +52,11 @@ class Layer:
         return statistics.median(self.seconds)
 
     def kind(self):
-        name, _, window = self.operation.partition(" ")
-        if name != "convolution":
-            return name if name == "depthwise" else self.operation
-        return {"3x3": "dense 3x3", "1x1": "1x1"}.get(window.split()[0], "other convolutions")
+        # Of several layers that run as one, the one with weights.
+        found = re.search(r"depthwise|convolution (\S+)", self.operation)
+        if not found:
+            return self.operation
+        return {None: "depthwise", "3x3": "dense 3x3", "1x1": "1x1"}.get(found[1], "other convolutions")
 
 
 def measure_layers(runs):

@@ -82,7 +82,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 /// Mean times of the layers, what they do at least, and their throughput.
 fn print_layers(layers: &[LayerTime], runs: u32) {
     say!(
-        "\n{:>8} {:>7} {:>7} {:>7}  {:<18} {:>14}  output",
+        "\n{:>8} {:>7} {:>7} {:>7}  {:<34} {:>14}  output",
         "us",
         "MMAC",
         "MB",
@@ -95,7 +95,7 @@ fn print_layers(layers: &[LayerTime], runs: u32) {
         let multiply_adds = layer.multiply_adds as f64;
         let [channels, height, width] = layer.shape;
         say!(
-            "{:>8.1} {:>7.1} {:>7.3} {:>7.1}  {:<18} {:>14}  {}",
+            "{:>8.1} {:>7.1} {:>7.3} {:>7.1}  {:<34} {:>14}  {}",
             seconds * 1e6,
             multiply_adds / 1e6,
             layer.bytes as f64 / 1e6,

@@ -22,6 +22,7 @@ mod profile;
 mod qlinear;
 mod recognize;
 mod schedule;
+mod stages;
 mod threads;
 mod tidy;
 mod whole;

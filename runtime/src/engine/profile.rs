@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 use super::layer::{Convolution, Form, Layer, Operand, Operation, Shape};
+use super::stages::Stage;
 
 /// One layer, or several that run as one, and how long it took.
 #[derive(Clone, Debug)]
@@ -24,40 +25,53 @@ pub struct LayerTime {
 }
 
 impl LayerTime {
-    /// Siblings read the same input.
-    pub(super) fn new(siblings: &[&Layer], shapes: &HashMap<&str, Shape>) -> Self {
-        let layer = siblings[0];
+    pub(super) fn new(stage: &Stage<'_>, shapes: &HashMap<&str, Shape>) -> Self {
+        let layer = stage.siblings[0];
         let shape = shapes[layer.output.as_str()];
         let pixels = (shape[1] * shape[2]) as u64;
-        let weights = |layer: &&Layer| match &layer.operation {
+        let weights = |layer: &Layer| match &layer.operation {
             Operation::Convolution(convolution) => convolution.weights.len() as u64,
             _ => 0,
         };
-        let weights: u64 = siblings.iter().map(weights).sum();
+        let weights: u64 = stage.layers().map(weights).sum();
         let bytes = |name: &str, value: usize| {
             let values = shapes.get(name).map_or(0, |shape| shape.iter().product());
             (values * value) as u64
+        };
+        let is_inlined = |input: &Operand| {
+            let mut inlined = stage.inlined.iter();
+            inlined.any(|inlined| inlined.output == input.name)
         };
         let read = |input: &Operand| {
             let value = input.quantization.map_or(size_of::<f32>(), |_| 1);
             bytes(&input.name, value)
         };
+        let read: u64 = (stage.inlined.iter().chain([&layer]))
+            .flat_map(|layer| &layer.inputs)
+            .filter(|input| !is_inlined(input))
+            .map(read)
+            .sum();
         let written = |layer: &&Layer| match layer.form {
             Form::Bytes { .. } => bytes(&layer.output, 1),
             Form::Floats => bytes(&layer.output, size_of::<f32>()),
         };
+        let operations = stage.inlined.iter().chain([&layer]);
+        let operations: Vec<String> = operations.map(|l| describe(&l.operation)).collect();
         Self {
             output: layer.output.clone(),
-            operation: describe(&layer.operation),
+            operation: operations.join(" + "),
             shape: [
-                siblings.iter().map(channels).sum::<usize>().max(shape[0]),
+                stage
+                    .siblings
+                    .iter()
+                    .map(channels)
+                    .sum::<usize>()
+                    .max(shape[0]),
                 shape[1],
                 shape[2],
             ],
             multiply_adds: weights * pixels,
-            bytes: layer.inputs.iter().map(read).sum::<u64>()
-                + weights
-                + siblings.iter().map(written).sum::<u64>(),
+            bytes: read + weights + stage.siblings.iter().map(written).sum::<u64>(),
             time: Duration::ZERO,
         }
     }

@@ -22,10 +22,9 @@ use super::layer::{
     Window,
 };
 use super::profile::{LayerTime, Times};
+use super::stages::{Stage, stages};
 use super::threads::{Member, Team, stay_on};
 
-/// Widest convolution that shares one block with its siblings.
-const SIBLING_LANES: usize = 16;
 /// Most bytes of an arena.
 const MAX_ARENA: usize = 1 << 31;
 
@@ -203,9 +202,19 @@ enum Work {
 struct Step {
     work: Work,
     reads: Vec<Buffer>,
+    /// Which of them are not there, and how each of their rows is made; empty where all are there.
+    inlined: Vec<Option<Step>>,
     /// `None` where the result leaves the island.
     writes: Option<Buffer>,
     rows: usize,
+}
+
+impl Step {
+    /// Bytes of one row of all inlined steps.
+    fn inlined_bytes(&self) -> usize {
+        let writes = self.inlined.iter().flatten().filter_map(|step| step.writes);
+        writes.map(|buffer| buffer.width * buffer.pitch).sum()
+    }
 }
 
 /// An island ready to run.
@@ -225,6 +234,8 @@ pub(crate) struct Schedule {
     times: Option<Times>,
     /// A row of f32 for each member.
     scratch: Vec<Mutex<Vec<f32>>>,
+    /// Rows of inlined steps, for each member.
+    rows: Vec<Mutex<Vec<u8>>>,
     inputs: Vec<Shape>,
     outputs: Vec<Shape>,
 }
@@ -257,20 +268,26 @@ impl Schedule {
                 .ok_or_else(|| format!("`{name}` is not made"))
         };
         let outputs: Vec<Shape> = island.outputs.iter().map(shape).collect::<Result<_, _>>()?;
-        let order = with_siblings_together(&island.layers);
+        let order = stages(&island.layers, &shapes);
         let (buffers, arena) = place(&order, &shapes)?;
         let (planes, floats) = place_floats(island, &order, &shapes)?;
         let steps = order
             .iter()
-            .map(|siblings| step(siblings, &buffers, &planes, &shapes, kernel))
+            .map(|stage| with_inlined(stage, &buffers, &planes, &shapes, kernel))
             .collect::<Result<Vec<_>, _>>()?;
-        let layer = |siblings: &Vec<&Layer>| LayerTime::new(siblings, &shapes);
-        let layers = order.iter().map(layer).collect();
+        let layers = order
+            .iter()
+            .map(|stage| LayerTime::new(stage, &shapes))
+            .collect();
         let team = Team::new(threads);
         let widest = steps.iter().map(scratch).max().unwrap_or(0);
-        let scratch = (0..threads.max(1))
+        let longest = steps.iter().map(Step::inlined_bytes).max().unwrap_or(0);
+        let members = 0..threads.max(1);
+        let scratch = members
+            .clone()
             .map(|_| Mutex::new(vec![0.0; widest]))
             .collect();
+        let rows = members.map(|_| Mutex::new(vec![0; longest])).collect();
         Ok(Self {
             kernel,
             entrance: entrance(&steps),
@@ -281,6 +298,7 @@ impl Schedule {
             layers,
             times: None,
             scratch,
+            rows,
             inputs: inputs.to_vec(),
             outputs,
         })
@@ -379,6 +397,7 @@ impl Schedule {
             arena: Shared::new(self.arena.bytes()),
             floats: Shared::new(&mut self.floats),
             scratch: &self.scratch,
+            rows: &self.rows,
             inputs,
             outputs,
         };
@@ -455,58 +474,26 @@ fn write_rows(
     }
 }
 
-/// Layers in order, with convolutions together whose f32 results fit one block and come from the same pixels.
-fn with_siblings_together(layers: &[Layer]) -> Vec<Vec<&Layer>> {
-    let mut order: Vec<Vec<&Layer>> = Vec::new();
-    let dense = |layer: &Layer| match (&layer.operation, &layer.form) {
-        (Operation::Convolution(c), Form::Floats) if !c.depthwise => {
-            Some((c.outputs, c.window.clone()))
-        }
-        _ => None,
-    };
-    for layer in layers {
-        if let Some((outputs, window)) = dense(layer) {
-            let joins = |siblings: &&mut Vec<&Layer>| {
-                let together: Option<Vec<_>> =
-                    siblings.iter().map(|sibling| dense(sibling)).collect();
-                together.is_some_and(|together| {
-                    together.iter().map(|(outputs, _)| outputs).sum::<usize>() + outputs
-                        <= SIBLING_LANES
-                        && together[0].1 == window
-                        && siblings[0].inputs[0].name == layer.inputs[0].name
-                        && siblings[0].inputs[0].quantization == layer.inputs[0].quantization
-                })
-            };
-            if let Some(siblings) = order.iter_mut().find(joins) {
-                siblings.push(layer);
-                continue;
-            }
-        }
-        order.push(vec![layer]);
-    }
-    order
-}
-
 /// Bytes from pixel to pixel: four for what enters for dense convolutions alone.
-fn pitch(layer: &Layer, channels: usize, order: &[Vec<&Layer>]) -> usize {
-    let reads = |reader: &&&Layer| {
+fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>]) -> usize {
+    let reads = |reader: &&Layer| {
         let named = |input: &Operand| input.name == layer.output;
         reader.inputs.iter().any(named)
     };
-    let takes_four = |reader: &&Layer| match &reader.operation {
+    let takes_four = |reader: &Layer| match &reader.operation {
         Operation::Convolution(convolution) => !convolution.depthwise,
         operation => matches!(operation, Operation::Dequantize),
     };
-    let mut readers = order.iter().flatten().filter(reads);
+    let mut readers = order.iter().flat_map(Stage::layers).filter(reads);
     match layer.operation {
         Operation::Quantize if channels <= 4 && readers.all(takes_four) => 4,
         _ => channels.next_multiple_of(16),
     }
 }
 
-/// Gives every byte tensor a place; returns the arena's length too.
+/// Gives every byte tensor that is not inlined a place; returns the arena's length too.
 fn place<'a>(
-    order: &[Vec<&'a Layer>],
+    order: &[Stage<'a>],
     shapes: &HashMap<&str, Shape>,
 ) -> Result<(HashMap<&'a str, Buffer>, usize), String> {
     let mut buffers: HashMap<&str, Buffer> = HashMap::new();
@@ -515,7 +502,7 @@ fn place<'a>(
     for (time, layer) in order
         .iter()
         .enumerate()
-        .flat_map(|(time, layers)| layers.iter().map(move |l| (time, *l)))
+        .flat_map(|(time, stage)| stage.layers().map(move |l| (time, l)))
     {
         if let Form::Bytes { quantization, .. } = layer.form {
             let [channels, height, width] = shapes[layer.output.as_str()];
@@ -570,8 +557,12 @@ fn place<'a>(
             }
         }
     }
+    let inlined: Vec<&str> = (order.iter())
+        .flat_map(|stage| stage.inlined.iter().map(|layer| layer.output.as_str()))
+        .collect();
     let sizes: Vec<_> = buffers
         .iter()
+        .filter(|(name, _)| !inlined.contains(name))
         .map(|(name, buffer)| (*name, buffer.len().next_multiple_of(64), live[name]))
         .collect();
     let (places, end) = pack(sizes);
@@ -579,7 +570,8 @@ fn place<'a>(
         return Err(format!("it would need {end} bytes"));
     }
     for (name, buffer) in &mut buffers {
-        buffer.offset = places[name];
+        // Those without are inlined.
+        buffer.offset = places.get(name).copied().unwrap_or(0);
     }
     Ok((buffers, end))
 }
@@ -587,7 +579,7 @@ fn place<'a>(
 /// Where each f32 tensor is, and how many numbers those that stay inside take.
 fn place_floats<'a>(
     island: &'a Island,
-    order: &[Vec<&'a Layer>],
+    order: &[Stage<'a>],
     shapes: &HashMap<&str, Shape>,
 ) -> Result<(HashMap<&'a str, Planes>, usize), String> {
     let mut planes: HashMap<&str, Planes> = HashMap::new();
@@ -601,7 +593,7 @@ fn place_floats<'a>(
     for (time, layer) in order
         .iter()
         .enumerate()
-        .flat_map(|(time, layers)| layers.iter().map(move |l| (time, *l)))
+        .flat_map(|(time, stage)| stage.layers().map(move |l| (time, l)))
     {
         for input in &layer.inputs {
             if let Some(live) = live.get_mut(input.name.as_str()) {
@@ -670,6 +662,33 @@ fn rescale(
     table
 }
 
+/// The work of a stage.
+fn with_inlined(
+    stage: &Stage<'_>,
+    buffers: &HashMap<&str, Buffer>,
+    planes: &HashMap<&str, Planes>,
+    shapes: &HashMap<&str, Shape>,
+    kernel: Kernel,
+) -> Result<Step, String> {
+    let step = |siblings: &[&Layer]| step(siblings, buffers, planes, shapes, kernel);
+    let mut whole = step(&stage.siblings)?;
+    if !stage.inlined.is_empty() {
+        let named = |operand: &Operand| {
+            let layer = stage
+                .inlined
+                .iter()
+                .find(|layer| layer.output == operand.name);
+            layer.map(|layer| step(&[layer])).transpose()
+        };
+        whole.inlined = stage.siblings[0]
+            .inputs
+            .iter()
+            .map(named)
+            .collect::<Result<_, _>>()?;
+    }
+    Ok(whole)
+}
+
 /// The work of one layer, or of several siblings.
 fn step(
     siblings: &[&Layer],
@@ -721,6 +740,7 @@ fn step(
         Ok(Step {
             work,
             reads: Vec::new(),
+            inlined: Vec::new(),
             writes,
             rows,
         })
@@ -739,6 +759,7 @@ fn step(
             return Ok(Step {
                 work,
                 reads: Vec::new(),
+                inlined: Vec::new(),
                 writes,
                 rows,
             });
@@ -960,6 +981,7 @@ fn step(
     Ok(Step {
         work,
         reads,
+        inlined: Vec::new(),
         writes,
         rows,
     })
@@ -1070,6 +1092,7 @@ struct Run<'a> {
     arena: Shared<'a, u8>,
     floats: Shared<'a, f32>,
     scratch: &'a [Mutex<Vec<f32>>],
+    rows: &'a [Mutex<Vec<u8>>],
     inputs: &'a [&'a [f32]],
     outputs: &'a [Shared<'a, f32>],
 }
@@ -1163,14 +1186,38 @@ impl Run<'_> {
         }
     }
 
+    /// Row `y` of an inlined step, in the first of the bytes that are free.
+    fn inlined<'a>(
+        &self,
+        step: &Step,
+        y: usize,
+        free: &mut &'a mut [u8],
+        member: usize,
+    ) -> &'a [u8] {
+        let Some(buffer) = &step.writes else {
+            return &[];
+        };
+        let row = free.split_off_mut(..buffer.width * buffer.pitch);
+        let row = row.unwrap_or_default();
+        self.row(step, buffer, y, row, member);
+        row
+    }
+
     /// One row of bytes.
     fn row(&self, step: &Step, buffer: &Buffer, y: usize, out: &mut [u8], member: usize) {
         let kernel = self.kernel;
-        let input = |number: usize| self.read(step.reads[number].row(y));
+        let mut memory = (!step.inlined.is_empty()).then(|| {
+            let rows = self.rows[member].lock();
+            rows.unwrap_or_else(PoisonError::into_inner)
+        });
+        let mut free: &mut [u8] = memory.as_mut().map_or(&mut [], |rows| rows);
         // Of a tensor of one pixel, that one.
-        let pixel = |number: usize| {
-            let read = &step.reads[number];
-            self.read(read.row(y.min(read.height - 1)))
+        let mut input = |number: usize| match step.inlined.get(number) {
+            Some(Some(inner)) => self.inlined(inner, y, &mut free, member),
+            _ => {
+                let read = &step.reads[number];
+                self.read(read.row(y.min(read.height - 1)))
+            }
         };
         match &step.work {
             Work::Quantize {
@@ -1208,12 +1255,12 @@ impl Run<'_> {
                 kernel.depthwise(depthwise, &row, to, out);
             }
             Work::Add(addition) => {
-                for (one, other, out) in pixels(&step.reads, [input(0), pixel(1)], out) {
+                for (one, other, out) in pixels(&step.reads, [0, 1].map(&mut input), out) {
                     kernel.add(addition, one, other, out);
                 }
             }
             Work::Multiply { zeros, factor, to } => {
-                for (one, other, out) in pixels(&step.reads, [input(0), pixel(1)], out) {
+                for (one, other, out) in pixels(&step.reads, [0, 1].map(&mut input), out) {
                     multiply_row(*zeros, *factor, to, one, other, out);
                 }
             }

@@ -1,0 +1,210 @@
+//! Which layers run as one: what the threads do between two meetings.
+
+use std::collections::HashMap;
+
+use super::layer::{Form, Layer, Operation, Shape};
+
+/// Widest convolution that shares one block with its siblings.
+const SIBLING_LANES: usize = 16;
+
+/// Layers that run as one.
+#[derive(Debug)]
+pub(super) struct Stage<'a> {
+    /// Layers of which nobody but the main one reads anything: their rows are made when it needs them, in memory of the
+    /// thread's own, which is still in its cache then.
+    pub(super) inlined: Vec<&'a Layer>,
+    /// The main layer; after it others that read the same, so that it is read once.
+    pub(super) siblings: Vec<&'a Layer>,
+}
+
+impl<'a> Stage<'a> {
+    /// Inlined ones first.
+    pub(super) fn layers(&self) -> impl Iterator<Item = &'a Layer> {
+        self.inlined.iter().chain(&self.siblings).copied()
+    }
+}
+
+/// All layers in order.
+pub(super) fn stages<'a>(layers: &'a [Layer], shapes: &HashMap<&str, Shape>) -> Vec<Stage<'a>> {
+    let mut readers: HashMap<&str, usize> = HashMap::new();
+    for input in layers.iter().flat_map(|layer| &layer.inputs) {
+        *readers.entry(&input.name).or_default() += 1;
+    }
+    let mut producers: HashMap<&str, &Layer> = HashMap::new();
+    for layer in layers {
+        let once = readers.get(layer.output.as_str()) == Some(&1);
+        if once && makes_rows(layer) {
+            producers.insert(&layer.output, layer);
+        }
+    }
+    let mut inlined: HashMap<&str, Vec<&Layer>> = HashMap::new();
+    let mut moved: Vec<&str> = Vec::new();
+    for layer in layers
+        .iter()
+        .filter(|layer| reads_its_row_alone(layer, shapes))
+    {
+        for input in &layer.inputs {
+            if let Some(producer) = producers.get(input.name.as_str()) {
+                inlined.entry(&layer.output).or_default().push(producer);
+                moved.push(&producer.output);
+            }
+        }
+    }
+    with_siblings_together(layers)
+        .into_iter()
+        .filter(|siblings| !moved.contains(&siblings[0].output.as_str()))
+        .map(|siblings| Stage {
+            inlined: inlined
+                .remove(siblings[0].output.as_str())
+                .unwrap_or_default(),
+            siblings,
+        })
+        .collect()
+}
+
+/// Whether its rows of bytes can be made one at a time, and making one is worth more than calling for it.
+fn makes_rows(layer: &Layer) -> bool {
+    matches!(layer.form, Form::Bytes { .. })
+        && matches!(
+            layer.operation,
+            Operation::Convolution(_) | Operation::Resize(_)
+        )
+}
+
+/// Whether a row of it takes that row of its inputs, and no other.
+fn reads_its_row_alone(layer: &Layer, shapes: &HashMap<&str, Shape>) -> bool {
+    let [_, height, width] = shapes[layer.output.as_str()];
+    let same = |name: &str| shapes.get(name) == shapes.get(layer.output.as_str());
+    matches!(layer.form, Form::Bytes { .. })
+        && [height, width] != [1, 1]
+        && match layer.operation {
+            Operation::Add | Operation::Multiply | Operation::Table(_) => {
+                layer.inputs.iter().all(|input| same(&input.name))
+            }
+            Operation::Concat => true,
+            _ => false,
+        }
+}
+
+/// Layers in order, with convolutions together whose f32 results fit one block and come from the same pixels.
+fn with_siblings_together(layers: &[Layer]) -> Vec<Vec<&Layer>> {
+    let mut order: Vec<Vec<&Layer>> = Vec::new();
+    let dense = |layer: &Layer| match (&layer.operation, &layer.form) {
+        (Operation::Convolution(c), Form::Floats) if !c.depthwise => {
+            Some((c.outputs, c.window.clone()))
+        }
+        _ => None,
+    };
+    for layer in layers {
+        if let Some((outputs, window)) = dense(layer) {
+            let joins = |siblings: &&mut Vec<&Layer>| {
+                let together: Option<Vec<_>> =
+                    siblings.iter().map(|sibling| dense(sibling)).collect();
+                together.is_some_and(|together| {
+                    together.iter().map(|(outputs, _)| outputs).sum::<usize>() + outputs
+                        <= SIBLING_LANES
+                        && together[0].1 == window
+                        && siblings[0].inputs[0].name == layer.inputs[0].name
+                        && siblings[0].inputs[0].quantization == layer.inputs[0].quantization
+                })
+            };
+            if let Some(siblings) = order.iter_mut().find(joins) {
+                siblings.push(layer);
+                continue;
+            }
+        }
+        order.push(vec![layer]);
+    }
+    order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::layer::{Coordinates, Nearest, Operand, Quantization, Resize, Target};
+
+    fn layer(operation: Operation, inputs: &[&str], output: &str) -> Layer {
+        let quantization = Quantization {
+            scale: 1.0,
+            zero: 0,
+        };
+        let operand = |name: &&str| Operand {
+            name: (*name).to_owned(),
+            quantization: Some(quantization),
+        };
+        Layer {
+            operation,
+            inputs: inputs.iter().map(operand).collect(),
+            output: output.to_owned(),
+            form: Form::Bytes {
+                quantization,
+                range: 0..=255,
+            },
+        }
+    }
+
+    fn resize() -> Operation {
+        Operation::Resize(Resize {
+            linear: false,
+            coordinates: Coordinates::Asymmetric,
+            nearest: Nearest::Floor,
+            target: Target::Scales([2.0, 2.0]),
+        })
+    }
+
+    /// Each stage as the outputs of its inlined layers, then of its own.
+    fn outputs(layers: &[Layer], shapes: &[(&str, Shape)]) -> Vec<Vec<String>> {
+        let shapes = shapes.iter().copied().collect();
+        let names = |stage: &Stage<'_>| stage.layers().map(|l| l.output.clone()).collect();
+        stages(layers, &shapes).iter().map(names).collect()
+    }
+
+    /// What an addition alone reads is made by it, row by row; what others read too is not, nor what is repeated.
+    #[test]
+    fn layers_are_inlined_where_one_row_of_one_layer_takes_one_row_of_them() {
+        let (small, large) = ([16, 2, 3], [16, 4, 6]);
+        let shapes = [("x", small), ("y", large), ("up", large), ("sum", large)];
+        let sum = layer(Operation::Add, &["up", "y"], "sum");
+        let up = layer(resize(), &["x"], "up");
+        assert_eq!(
+            outputs(&[up.clone(), sum.clone()], &shapes),
+            [vec!["up", "sum"]]
+        );
+
+        let again = layer(Operation::Table(Box::new([0; 256])), &["up"], "again");
+        let more = [&shapes[..], &[("again", large)]].concat();
+        assert_eq!(
+            outputs(&[up.clone(), sum.clone(), again], &more),
+            [["up"], ["sum"], ["again"]]
+        );
+
+        let twice = layer(Operation::Add, &["up", "up"], "sum");
+        assert_eq!(outputs(&[up.clone(), twice], &shapes), [["up"], ["sum"]]);
+
+        let one = [
+            ("x", [16, 1, 1]),
+            ("up", [16, 2, 2]),
+            ("y", [16, 4, 4]),
+            ("sum", [16, 4, 4]),
+        ];
+        assert_eq!(outputs(&[up, sum], &one), [["up"], ["sum"]]);
+    }
+
+    /// What is inlined reads what is there.
+    #[test]
+    fn stages_are_not_nested() {
+        let large = [16, 4, 6];
+        let names = ["x", "up", "sum", "up2", "sum2"];
+        let shapes = names.map(|name| (name, large));
+        let layers = [
+            layer(resize(), &["x"], "up"),
+            layer(Operation::Add, &["up", "x"], "sum"),
+            layer(resize(), &["x"], "up2"),
+            layer(Operation::Add, &["sum", "up2"], "sum2"),
+        ];
+        assert_eq!(
+            outputs(&layers, &shapes),
+            [vec!["up", "sum"], vec!["up2", "sum2"]]
+        );
+    }
+}
