@@ -17,7 +17,9 @@ use crate::model::Outputs;
 use crate::vectors::{Loops, widest};
 
 /// Most threads that fuse together.
-const MOST_STRIPES: usize = 16;
+const MOST_THREADS: usize = 16;
+/// Of each of several threads: one as far from the top as the other from the bottom, since the sky takes less than the ground.
+const STRIPES: usize = 2;
 
 /// The outputs that fusion reads, in the order in which [`Heads::new`] does.
 pub(crate) fn outputs(contract: &Contract) -> Vec<&str> {
@@ -124,19 +126,20 @@ fn take<'a>(map: &mut &'a mut [f32], values: usize) -> &'a mut [f32] {
 pub(crate) fn fuse(
     contract: &Contract,
     fusion: &Fusion,
-    (outputs, threads): (&Outputs<'_>, Option<Threads<'_>>),
+    (outputs, team): (&Outputs<'_>, Option<Threads<'_>>),
     ground: &OutputGround,
     scratch: &mut Vec<Vec<f32>>,
     mut maps: FusedMaps<'_>,
 ) -> Result<(), Error> {
     let heads = Heads::new(contract, outputs)?;
     let size = ground.size();
-    let count = threads
+    let threads = team
         .as_ref()
         .map_or(1, Threads::count)
-        .clamp(1, MOST_STRIPES) as u32;
+        .clamp(1, MOST_THREADS);
+    let count = (if threads == 1 { 1 } else { STRIPES * threads }) as u32;
     scratch.resize_with(count as usize, Vec::new);
-    let mut stripes = [const { Mutex::new(None) }; MOST_STRIPES];
+    let mut stripes = [const { Mutex::new(None) }; STRIPES * MOST_THREADS];
     for ((number, stripe), scratch) in (0..count).zip(&mut stripes).zip(scratch) {
         scratch.resize(heads.scratch_len(size), 0.0);
         let rows = size.height() * number / count..size.height() * (number + 1) / count;
@@ -155,18 +158,20 @@ pub(crate) fn fuse(
     }
     let failed = Mutex::new(None);
     let job = |thread: usize| {
-        let stripe = stripes.get(thread).and_then(|stripe| {
-            let mut stripe = stripe.lock().unwrap_or_else(PoisonError::into_inner);
-            stripe.take()
-        });
-        if let Some(Err(e)) = stripe.map(widest) {
-            *failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(e);
+        for number in [Some(thread), (count as usize - 1).checked_sub(thread)] {
+            let stripe = number
+                .and_then(|number| stripes.get(number))
+                .and_then(|stripe| {
+                    let mut stripe = stripe.lock().unwrap_or_else(PoisonError::into_inner);
+                    stripe.take()
+                });
+            if let Some(Err(e)) = stripe.map(widest) {
+                *failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(e);
+            }
         }
     };
-    match threads {
-        Some(mut threads) => threads
-            .share(&job)
-            .map_err(|reason| outputs.unfit(reason))?,
+    match team {
+        Some(mut team) => team.share(&job).map_err(|reason| outputs.unfit(reason))?,
         None => job(0),
     }
     let failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
