@@ -391,13 +391,17 @@ fn files_of_other_tools_give_what_onnx_runtime_gives() {
     }
 }
 
-/// Each layer of the embedded network, given what the engine made of the layers before it.
+/// Each layer of the shipped networks, given what the engine made of the layers before it.
 #[test]
-fn every_layer_of_the_network_is_what_tract_makes_of_the_same_nodes() {
-    let file = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../fixtures/models/adaptive-int8.onnx"
-    );
+fn every_layer_of_the_networks_is_what_tract_makes_of_the_same_nodes() {
+    for name in ["adaptive-int8", "large-adaptive-int8"] {
+        every_layer_is_what_tract_makes(name);
+    }
+}
+
+fn every_layer_is_what_tract_makes(name: &str) {
+    let file =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../fixtures/models/{name}.onnx"));
     let bytes = std::fs::read(file).unwrap();
     let mut model = tract_onnx::onnx()
         .proto_model_for_read(&mut bytes.as_slice())
@@ -429,7 +433,7 @@ fn every_layer_of_the_network_is_what_tract_makes_of_the_same_nodes() {
         );
     }
     assert!(cuts.len() > 50, "{}", cuts.len());
-    let found = compare_layers(&model, &values, fastest(), EDGE, "the network");
+    let found = compare_layers(&model, &values, fastest(), EDGE, name);
     println!("{found:?}");
     assert_eq!(
         (found.ties, found.floats[0]),
