@@ -59,7 +59,8 @@ impl Barrier {
         let round = self.round.load(SeqCst);
         if self.arrived.fetch_add(1, SeqCst) + 1 == self.members {
             self.arrived.store(0, SeqCst);
-            self.round.store(round.wrapping_add(1), SeqCst);
+            // Not a store: QEMU lets the load of the sleepers overtake one of AArch64's, and a sleeper would sleep on.
+            self.round.swap(round.wrapping_add(1), SeqCst);
             self.wake_sleepers();
         } else {
             let waiting = || self.round.load(SeqCst) == round && !self.broken.load(SeqCst);
