@@ -244,3 +244,49 @@ fn work(meeting: &Meeting, number: usize) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicU64;
+
+    use super::*;
+
+    /// Waits of about as long as a waiting thread spins before it sleeps: whoever falls asleep as the round ends must be
+    /// woken. (Where one is missed, this hangs.)
+    #[test]
+    fn who_falls_asleep_as_the_last_one_comes_is_woken() {
+        for members in [2, 3] {
+            let mut team = Team::new(members);
+            let (jobs, rounds) = (400, 8);
+            let done = AtomicU64::new(0);
+            for job in 0..jobs {
+                let whole = team.run(&|member: &Member<'_>| {
+                    for round in 0..rounds {
+                        if (job + round) % members == member.number {
+                            for _ in 0..SPINS / 2 + (job * 37 + round * 11) % SPINS {
+                                std::hint::spin_loop();
+                            }
+                        }
+                        done.fetch_add(1, SeqCst);
+                        assert!(member.wait());
+                    }
+                });
+                assert!(whole);
+            }
+            assert_eq!(done.into_inner(), (members * jobs * rounds) as u64);
+        }
+    }
+
+    /// A job that panics on one thread says so on the caller's, and nobody waits for it for ever.
+    #[test]
+    fn a_panic_ends_the_job_for_all() {
+        for number in [0, 1] {
+            let mut team = Team::new(2);
+            let whole = team.run(&|member: &Member<'_>| {
+                assert!(member.number != number, "as this test wants");
+                while member.wait() {}
+            });
+            assert!(!whole);
+        }
+    }
+}
