@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-/// How often a waiting thread looks before it sleeps: some 50 microseconds.
+/// Looks of a waiting thread before it sleeps: some 50 microseconds.
 const SPINS: usize = 2000;
 
 type Job<'a> = dyn Fn(&Member<'_>) + Sync + 'a;
@@ -46,6 +46,8 @@ impl Member<'_> {
 #[derive(Debug)]
 struct Barrier {
     members: usize,
+    /// How often a waiting thread looks before it sleeps.
+    spins: usize,
     arrived: AtomicUsize,
     round: AtomicUsize,
     sleepers: AtomicUsize,
@@ -65,7 +67,7 @@ impl Barrier {
         } else {
             let waiting = || self.round.load(SeqCst) == round && !self.broken.load(SeqCst);
             let mut spins = 0;
-            while waiting() && spins < SPINS {
+            while waiting() && spins < self.spins {
                 std::hint::spin_loop();
                 spins += 1;
             }
@@ -132,9 +134,14 @@ pub(crate) struct Team {
 impl Team {
     /// Creates `members - 1` threads; as many of them as the system grants.
     pub(crate) fn new(members: usize) -> Self {
+        Self::with_spins(members, SPINS)
+    }
+
+    fn with_spins(members: usize, spins: usize) -> Self {
         let spawn = |members: usize| {
             let barrier = Barrier {
                 members,
+                spins,
                 arrived: AtomicUsize::new(0),
                 round: AtomicUsize::new(0),
                 sleepers: AtomicUsize::new(0),
@@ -251,30 +258,34 @@ mod tests {
 
     use super::*;
 
-    /// Waits of about as long as a waiting thread spins before it sleeps: whoever falls asleep as the round ends must be
-    /// woken. (Where one is missed, this hangs.)
+    /// Whoever falls asleep just as the last one comes must be woken: these sleep nearly at once, so that it happens often.
+    /// Where one is missed, this hangs. A barrier that stored its round did under QEMU, after 17,000 to 44,000 jobs.
     #[test]
     fn who_falls_asleep_as_the_last_one_comes_is_woken() {
-        for members in [2, 3] {
-            let mut team = Team::new(members);
-            let (jobs, rounds) = (400, 8);
-            let done = AtomicU64::new(0);
-            for job in 0..jobs {
-                let whole = team.run(&|member: &Member<'_>| {
-                    for round in 0..rounds {
-                        if (job + round) % members == member.number {
-                            for _ in 0..SPINS / 2 + (job * 37 + round * 11) % SPINS {
-                                std::hint::spin_loop();
-                            }
+        let spins = 20;
+        let members = 2;
+        let (jobs, rounds) = if cfg!(target_arch = "aarch64") {
+            (60_000, 8)
+        } else {
+            (5_000, 8)
+        };
+        let mut team = Team::with_spins(members, spins);
+        let done = AtomicU64::new(0);
+        for job in 0..jobs {
+            let whole = team.run(&|member: &Member<'_>| {
+                for round in 0..rounds {
+                    if (job + round) % members == member.number {
+                        for _ in 0..spins / 2 + (job * 37 + round * 11) % spins {
+                            std::hint::spin_loop();
                         }
-                        done.fetch_add(1, SeqCst);
-                        assert!(member.wait());
                     }
-                });
-                assert!(whole);
-            }
-            assert_eq!(done.into_inner(), (members * jobs * rounds) as u64);
+                    done.fetch_add(1, SeqCst);
+                    assert!(member.wait());
+                }
+            });
+            assert!(whole);
         }
+        assert_eq!(done.into_inner(), (members * jobs * rounds) as u64);
     }
 
     /// A job that panics on one thread says so on the caller's, and nobody waits for it for ever.
