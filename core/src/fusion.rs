@@ -255,10 +255,10 @@ impl Fusion {
         let mut residual = Plane::residual(residual, self.upsampling, output, scratch)?;
         let mut attention = Plane::attention(attention, self.upsampling, output, scratch)?;
         let per_height = 1.0 / ground.camera_height();
-        // Where no inverse plane depth of a row reaches this, no slope makes ground of it.
+        // Where no inverse plane depth of a row reaches this, no slope makes ground of it. Classes that only fall leave less.
         let climb = slope
             .as_ref()
-            .map_or(0.0, |(slope, _)| slope.steepest_climb());
+            .map_or(0.0, |(slope, _)| slope.steepest_climb().max(0.0));
         let nearly_ground = self.ground_floor * (1.0 - SLACK) - climb * per_height * (1.0 + SLACK);
         let ground_row = scratch.take(width)?;
         let attention_row = scratch.take(width)?;

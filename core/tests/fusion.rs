@@ -627,6 +627,55 @@ fn ground_begins_where_the_steepest_climb_brings_it() {
     }
 }
 
+/// Classes that all fall away leave ground where the flattest of them does, to within rounding.
+#[test]
+fn ground_ends_where_the_flattest_fall_leaves_none() {
+    let size = row(1);
+    let angles = [5.0, 8.0].map(Angle::from_degrees);
+    let classes = SlopeClasses::<8>::new(&angles, SlopeSign::DownhillPositive).unwrap();
+    let fall = 5_f64.to_radians().tan() / HEIGHT;
+    for (above, any) in [(2e-6, true), (-2e-6, false)] {
+        let inverse = [(1.0 / LIMIT + fall + above) as f32];
+        let ground = Bounded(GroundView::from_values(&inverse, size, HEIGHT as f32).unwrap());
+        let head = |values, channels| HeadMap::new(Samples::F32(values), channels, size).unwrap();
+        let at = DecodeAt::HeadSize;
+        let residual = ResidualHead {
+            map: head(&[5.0], 1),
+            unit: ResidualUnit::Metres,
+            decode_at: at,
+        };
+        let attention = AttentionHead {
+            map: head(&[1.0], 1),
+            unit: AttentionUnit::Probability,
+            decode_at: at,
+        };
+        let slope = SlopeHead {
+            map: head(&[40.0, -40.0], 2),
+            classes: &classes,
+            decode_at: at,
+        };
+        let (mut depth, mut made) = ([0.0], [f32::NAN]);
+        let maps = FusedMaps {
+            depth: &mut depth,
+            attention: None,
+            ground: Some(&mut made),
+        };
+        let mut scratch = vec![0.0; scratch_len(size, 1, 2)];
+        fusion(Upsampling::HalfPixel)
+            .adaptive(&ground, &residual, &attention, &slope, &mut scratch, maps)
+            .unwrap();
+        let expected = if any {
+            1.0 / (1.0 / LIMIT + above)
+        } else {
+            0.0
+        };
+        assert!(
+            (f64::from(made[0]) - expected).abs() < 0.01,
+            "{made:?}, not {expected}"
+        );
+    }
+}
+
 /// Fusion of every pixel's own numbers does not depend on what other pixels hold, nor on leaving maps out.
 #[test]
 fn maps_may_be_left_out() {
