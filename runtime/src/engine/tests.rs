@@ -743,14 +743,86 @@ fn few_outputs_are_the_sums_that_they_should_be() {
     }
 }
 
+/// What clipped layers mostly have, or a zero point and bounds.
+fn to_bytes(plain: bool) -> ToBytes {
+    let (zero, range) = if plain { (0, 0..=255) } else { (77, 5..=250) };
+    ToBytes { zero, range }
+}
+
+fn byte_of(real: f32, to: &ToBytes) -> u8 {
+    let step = real.round_ties_even() + f32::from(to.zero);
+    step.clamp(f32::from(*to.range.start()), f32::from(*to.range.end())) as u8
+}
+
+/// Blocks of 16 outputs go into registers and memory in groups; nothing is written behind the last.
+#[test]
+fn dense_of_any_outputs_in_rows_of_any_length() {
+    let mut numbers = Numbers(13);
+    for outputs in [3_usize, 16, 20, 40, 64, 72, 96, 112] {
+        for pixels in [1_usize, 2, 3, 4, 7, 8, 15, 16, 37] {
+            let run = 4 * numbers.from(1..=9);
+            let input: Vec<u8> = (0..pixels * run)
+                .map(|_| numbers.below(256) as u8)
+                .collect();
+            let weights: Vec<i8> = (0..outputs * run)
+                .map(|_| numbers.below(255) as i8)
+                .collect();
+            let starts: Vec<i32> = (0..outputs as i32).map(|o| 100 * o - 1500).collect();
+            // Powers of two: products are exact, so that there is one right byte.
+            let factors: Vec<f32> = (0..outputs)
+                .map(|o| 0.25_f32.powi(3 + o as i32 % 3))
+                .collect();
+            let row = Row {
+                input: &input,
+                base: 0,
+                runs: &[0],
+                step: run,
+                pixels,
+            };
+            let to = to_bytes(numbers.below(2) == 0);
+            let expected = |output: usize, pixel: usize| {
+                let products = (0..run).map(|byte| {
+                    i32::from(input[pixel * run + byte]) * i32::from(weights[output * run + byte])
+                });
+                byte_of(
+                    (products.sum::<i32>() + starts[output]) as f32 * factors[output],
+                    &to,
+                )
+            };
+            for kernel in kernels() {
+                let dense = Dense::new(kernel, outputs, 1, run, &starts, &factors, |o, _, byte| {
+                    weights[o * run + byte]
+                });
+                let pitch = dense.lanes();
+                let mut out = vec![199; pitch * pixels + 64];
+                kernel.dense_bytes(&dense, &row, &to, &mut out[..pitch * pixels], pitch);
+                assert_eq!(
+                    out[pitch * pixels..],
+                    [199; 64],
+                    "{kernel:?}, {outputs} outputs"
+                );
+                for (pixel, bytes) in out.chunks_exact(pitch).take(pixels).enumerate() {
+                    for (output, byte) in bytes.iter().take(outputs).enumerate() {
+                        assert_eq!(
+                            *byte,
+                            expected(output, pixel),
+                            "{kernel:?}, {outputs} outputs, {pixels} pixels, output {output}, pixel {pixel}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
 /// Kernels take 64 channels at a time; of what is left over, or is all there is, several pixels at once.
 #[test]
 fn depthwise_of_any_channels_in_rows_of_any_length() {
     let mut numbers = Numbers(12);
     for channels in [3_usize, 16, 20, 32, 40, 48, 80, 96] {
-        for pixels in [1_usize, 3, 4, 7, 8, 15, 16, 37] {
-            let side = [3, 5][numbers.below(2)];
-            let stride = numbers.from(1..=2);
+        let sides = [(3, 1), (3, 2), (5, 1), (5, 2)];
+        let pixels = [1_usize, 2, 3, 4, 7, 8, 15, 16, 37];
+        for ((side, stride), pixels) in sides.into_iter().flat_map(|s| pixels.map(|p| (s, p))) {
             let pitch = channels.next_multiple_of(16);
             let row_bytes = pitch * ((pixels - 1) * stride + side);
             let input: Vec<u8> = (0..side * row_bytes)
@@ -774,18 +846,14 @@ fn depthwise_of_any_channels_in_rows_of_any_length() {
                 step: stride * pitch,
                 pixels,
             };
-            let to = ToBytes {
-                zero: 77,
-                range: 5..=250,
-            };
+            let to = to_bytes(numbers.below(2) == 0);
             let expected = |channel: usize, pixel: usize| {
                 let products = (0..side * side).map(|tap| {
                     let x = input[runs[tap] + pixel * stride * pitch + channel];
                     i32::from(x) * i32::from(filters[channel * side * side + tap])
                 });
                 let sum = (products.sum::<i32>() + starts[channel]) as f32;
-                let step = (sum * factors[channel]).round_ties_even() + 77.0;
-                step.clamp(5.0, 250.0) as u8
+                byte_of(sum * factors[channel], &to)
             };
             for kernel in kernels() {
                 let depthwise =

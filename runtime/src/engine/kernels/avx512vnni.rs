@@ -21,6 +21,8 @@ struct Limits {
     zero: __m512i,
     low: __m512i,
     high: __m512i,
+    /// Whether the zero point is 0 and no byte is out of bounds, as after most clipped layers.
+    plain: bool,
 }
 
 impl Limits {
@@ -30,6 +32,7 @@ impl Limits {
             zero: _mm512_set1_epi16(i16::from(to.zero)),
             low: _mm512_set1_epi8(*to.range.start() as i8),
             high: _mm512_set1_epi8(*to.range.end() as i8),
+            plain: to.zero == 0 && to.range == (0..=u8::MAX),
         }
     }
 
@@ -37,9 +40,15 @@ impl Limits {
     #[target_feature(enable = "avx512f,avx512bw")]
     #[inline]
     fn pack(&self, v: [__m512i; 4]) -> __m512i {
-        let one = _mm512_adds_epi16(_mm512_packs_epi32(v[0], v[1]), self.zero);
-        let other = _mm512_adds_epi16(_mm512_packs_epi32(v[2], v[3]), self.zero);
-        let bytes = _mm512_packus_epi16(one, other);
+        let (one, other) = (
+            _mm512_packs_epi32(v[0], v[1]),
+            _mm512_packs_epi32(v[2], v[3]),
+        );
+        if self.plain {
+            return _mm512_packus_epi16(one, other);
+        }
+        let one = _mm512_adds_epi16(one, self.zero);
+        let bytes = _mm512_packus_epi16(one, _mm512_adds_epi16(other, self.zero));
         _mm512_min_epu8(_mm512_max_epu8(bytes, self.low), self.high)
     }
 }
@@ -124,35 +133,62 @@ impl Tile<'_> {
     ) {
         // SAFETY: as this function's.
         let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
-        // From lanes of four channels of four pixels to lanes of sixteen channels of a pixel.
-        let by_pixel = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
-        for (block, sums) in sums.iter().enumerate() {
-            let lane = self.lane + block * BLOCK;
-            // SAFETY: there is a factor for every lane; the pixels' bytes are in `out`.
+        // From lanes of four channels of each register to lanes of sixteen channels of one.
+        let in_order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+        // SAFETY: there is a factor for every lane.
+        let factors: [__m512; BLOCKS] = std::array::from_fn(|block| unsafe {
+            _mm512_loadu_ps(self.dense.factors.as_ptr().add(self.lane + block * BLOCK))
+        });
+        let of = |pixel: usize, block: usize| {
+            let (pixel, block) = (pixel.min(PIXELS - 1), block.min(BLOCKS - 1));
+            scaled(sums[block][pixel], factors[block])
+        };
+        // Four registers are packed together: stores are few and long.
+        for first in (0..PIXELS).step_by(4 / BLOCKS) {
+            let four = match BLOCKS {
+                1 => [
+                    of(first, 0),
+                    of(first + 1, 0),
+                    of(first + 2, 0),
+                    of(first + 3, 0),
+                ],
+                2 => [
+                    of(first, 0),
+                    of(first, 1),
+                    of(first + 1, 0),
+                    of(first + 1, 1),
+                ],
+                _ => [of(first, 0), of(first, 1), of(first, 2), of(first, 3)],
+            };
+            let bytes = _mm512_permutexvar_epi32(in_order, limits.pack(four));
+            // SAFETY: the pixels' bytes are in `out`.
             unsafe {
-                let factors = _mm512_loadu_ps(self.dense.factors.as_ptr().add(lane));
-                let out = out.add(self.pixel * pitch + lane);
-                for first in (0..PIXELS).step_by(4) {
-                    let of = |pixel: usize| scaled(sums[(first + pixel).min(PIXELS - 1)], factors);
-                    let bytes = _mm512_permutexvar_epi32(
-                        by_pixel,
-                        limits.pack([of(0), of(1), of(2), of(3)]),
-                    );
-                    _mm_storeu_si128(out.add(first * pitch).cast(), _mm512_castsi512_si128(bytes));
-                    if PIXELS > 1 {
-                        _mm_storeu_si128(
-                            out.add((first + 1) * pitch).cast(),
-                            _mm512_extracti32x4_epi32::<1>(bytes),
-                        );
-                        _mm_storeu_si128(
-                            out.add((first + 2) * pitch).cast(),
-                            _mm512_extracti32x4_epi32::<2>(bytes),
-                        );
-                        _mm_storeu_si128(
-                            out.add((first + 3) * pitch).cast(),
-                            _mm512_extracti32x4_epi32::<3>(bytes),
-                        );
+                let out = out.add((self.pixel + first) * pitch + self.lane);
+                match BLOCKS {
+                    1 => {
+                        _mm_storeu_si128(out.cast(), _mm512_castsi512_si128(bytes));
+                        if PIXELS > 1 {
+                            let (second, third) = (
+                                _mm512_extracti32x4_epi32::<1>(bytes),
+                                _mm512_extracti32x4_epi32::<2>(bytes),
+                            );
+                            _mm_storeu_si128(out.add(pitch).cast(), second);
+                            _mm_storeu_si128(out.add(2 * pitch).cast(), third);
+                            _mm_storeu_si128(
+                                out.add(3 * pitch).cast(),
+                                _mm512_extracti32x4_epi32::<3>(bytes),
+                            );
+                        }
                     }
+                    2 => {
+                        _mm256_storeu_si256(out.cast(), _mm512_castsi512_si256(bytes));
+                        if PIXELS > 1 {
+                            let second = _mm512_extracti64x4_epi64::<1>(bytes);
+                            _mm256_storeu_si256(out.add(pitch).cast(), second);
+                        }
+                    }
+                    3 => _mm512_mask_storeu_epi8(out.cast(), u64::MAX >> 16, bytes),
+                    _ => _mm512_storeu_si512(out.cast(), bytes),
                 }
             }
         }
@@ -351,21 +387,29 @@ unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
     }
 }
 
-/// Weights of a depthwise convolution for `vpdpbusd`: four rows of taps are the four bytes of a lane.
+/// Weights of a depthwise convolution for `vpdpbusd`: four rows of taps are the four bytes of a lane. Of a fifth row they are
+/// its first four taps; the last is the fourth of the next pixel, or, with a stride of 2, its third.
 ///
 /// Unpacking four rows of 64 channels byte by byte leaves, in register `j` and 128-bit lane `l`, the channels
 /// `16 l + 4 j` to `+ 3`; weights, starts and factors come in that order, and packing the results undoes it. Where only
 /// 32 or 16 channels are left they come twice or four times, for as many pixels at once.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Interleaved {
-    /// `[64 channels][4 rows][column][register][lane][row]`.
+    /// `[64 channels][register][quad][lane][byte]`: a quad for each column of four rows, then three for a fifth row.
     weights: Vec<i8>,
     /// `[64 channels][register][lane]`.
     starts: Vec<i32>,
     factors: Vec<f32>,
 }
 
+/// Vectors of weights for a register of channels.
+const fn quads(rows: usize) -> usize {
+    // Kernels are square.
+    if rows > TALL { rows + 3 } else { rows }
+}
+
 impl Interleaved {
+    /// Of the kernels that [`depthwise`] has; of others it stays empty.
     pub(super) fn new(depthwise: &Depthwise) -> Self {
         let Depthwise {
             pitch,
@@ -374,6 +418,16 @@ impl Interleaved {
             ..
         } = *depthwise;
         let mut packed = Self::default();
+        if !has(rows, columns) {
+            return packed;
+        }
+        // Row and column of the tap that a byte of a quad multiplies.
+        let tap = |quad: usize, byte: usize| match quad.checked_sub(columns) {
+            None => (byte, quad),
+            Some(0) => (TALL, byte),
+            Some(stride) if byte + stride == TALL => (TALL, TALL),
+            Some(_) => (rows, 0),
+        };
         let order = |lane: usize| (lane / 16 * 4) + (lane % 16 / 4 * 16) + lane % 4;
         for first in (0..pitch).step_by(WIDE) {
             let left = WIDE.min(pitch - first);
@@ -381,10 +435,11 @@ impl Interleaved {
                 channel if WIDE.is_multiple_of(left) => Some(first + channel % left),
                 channel => Some(first + channel).filter(|_| channel < left),
             });
-            for top in (0..rows).step_by(TALL) {
-                for column in 0..columns {
-                    for channel in channels.clone() {
-                        for row in top..top + TALL {
+            for register in 0..4 {
+                for quad in 0..quads(rows) {
+                    for channel in channels.clone().skip(BLOCK * register).take(BLOCK) {
+                        for byte in 0..TALL {
+                            let (row, column) = tap(quad, byte);
                             let weight = channel.filter(|_| row < rows);
                             packed.weights.push(weight.map_or(0, |c| {
                                 depthwise.weights[(row * columns + column) * pitch + c]
@@ -406,6 +461,53 @@ impl Interleaved {
     }
 }
 
+/// Columns of input that a tile keeps in registers at most.
+const MOST_COLUMNS: usize = 7;
+
+/// A loop that the compiler cannot leave a loop: what it indexes are registers.
+macro_rules! unrolled {
+    ($number:ident in $($value:literal)* $body:block) => {
+        $({
+            let $number = $value;
+            $body
+        })*
+    };
+}
+
+/// Whether [`depthwise`] has a loop of its own for a kernel.
+fn has(rows: usize, columns: usize) -> bool {
+    rows == columns && matches!(rows, 3 | 5)
+}
+
+/// Four registers of 64 bytes, byte by byte in turns: of each 128-bit lane the first, second, third and fourth four.
+#[target_feature(enable = "avx512f,avx512bw")]
+#[inline]
+fn interleaved(bytes: [__m512i; TALL]) -> [__m512i; 4] {
+    words(pair(bytes[0], bytes[1]), pair(bytes[2], bytes[3]))
+}
+
+/// Two registers of 64 bytes, byte by byte in turns.
+#[target_feature(enable = "avx512f,avx512bw")]
+#[inline]
+fn pair(one: __m512i, other: __m512i) -> [__m512i; 2] {
+    [
+        _mm512_unpacklo_epi8(one, other),
+        _mm512_unpackhi_epi8(one, other),
+    ]
+}
+
+/// Two pairs, word by word in turns.
+#[target_feature(enable = "avx512f,avx512bw")]
+#[inline]
+fn words(one: [__m512i; 2], other: [__m512i; 2]) -> [__m512i; 4] {
+    [
+        _mm512_unpacklo_epi16(one[0], other[0]),
+        _mm512_unpackhi_epi16(one[0], other[0]),
+        _mm512_unpacklo_epi16(one[1], other[1]),
+        _mm512_unpackhi_epi16(one[1], other[1]),
+    ]
+}
+
 /// Where a tile of a depthwise convolution starts.
 #[derive(Clone, Copy)]
 struct Strip<'a> {
@@ -420,69 +522,44 @@ struct Strip<'a> {
 }
 
 impl Strip<'_> {
-    /// Up to four rows of one column of input, `rows[row][16 l + 4 j + i]` at byte `row` of lane `4 l + i` of register
-    /// `j`. With `SPLIT` 2 or 4, of as many columns, `apart` bytes from one to the next, 32 or 16 channels each.
+    /// 64 channels of a pixel of input. With `SPLIT` 2 or 4, of as many pixels, `apart` bytes from one to the next, 32 or 16
+    /// channels each.
     ///
     /// # Safety
-    /// The first `count` of `rows` point to 64 bytes of input, or as many as the mask says; where they are split, to as many
-    /// of each column.
+    /// `at` points to 64 bytes of input, or as many as the mask says; where they are split, to as many of each pixel.
     #[target_feature(enable = "avx512f,avx512bw")]
     #[inline]
-    unsafe fn column<const SPLIT: usize>(
-        &self,
-        rows: [*const u8; TALL],
-        count: usize,
-        apart: usize,
-    ) -> [__m512i; 4] {
-        let mut bytes = [_mm512_setzero_si512(); TALL];
-        for (bytes, row) in bytes.iter_mut().zip(rows).take(count) {
-            // SAFETY: as this function's; bytes that are masked out are not touched.
-            *bytes = unsafe {
-                match SPLIT {
-                    1 => _mm512_maskz_loadu_epi8(self.mask, row.cast()),
-                    2 => {
-                        let half =
-                            |number: usize| _mm256_loadu_si256(row.add(number * apart).cast());
-                        _mm512_inserti64x4::<1>(_mm512_castsi256_si512(half(0)), half(1))
-                    }
-                    _ => {
-                        let part = |number: usize| _mm_loadu_si128(row.add(number * apart).cast());
-                        let four = _mm512_castsi128_si512(part(0));
-                        let four = _mm512_inserti32x4::<1>(four, part(1));
-                        let four = _mm512_inserti32x4::<2>(four, part(2));
-                        _mm512_inserti32x4::<3>(four, part(3))
-                    }
+    unsafe fn load<const SPLIT: usize>(&self, at: *const u8, apart: usize) -> __m512i {
+        // SAFETY: as this function's; bytes that are masked out are not touched.
+        unsafe {
+            match SPLIT {
+                1 => _mm512_maskz_loadu_epi8(self.mask, at.cast()),
+                2 => {
+                    let half = |number: usize| _mm256_loadu_si256(at.add(number * apart).cast());
+                    _mm512_inserti64x4::<1>(_mm512_castsi256_si512(half(0)), half(1))
                 }
-            };
+                _ => {
+                    let part = |number: usize| _mm_loadu_si128(at.add(number * apart).cast());
+                    let four = _mm512_castsi128_si512(part(0));
+                    let four = _mm512_inserti32x4::<1>(four, part(1));
+                    let four = _mm512_inserti32x4::<2>(four, part(2));
+                    _mm512_inserti32x4::<3>(four, part(3))
+                }
+            }
         }
-        let (low, high) = (
-            _mm512_unpacklo_epi8(bytes[0], bytes[1]),
-            _mm512_unpackhi_epi8(bytes[0], bytes[1]),
-        );
-        let (low2, high2) = (
-            _mm512_unpacklo_epi8(bytes[2], bytes[3]),
-            _mm512_unpackhi_epi8(bytes[2], bytes[3]),
-        );
-        [
-            _mm512_unpacklo_epi16(low, low2),
-            _mm512_unpackhi_epi16(low, low2),
-            _mm512_unpacklo_epi16(high, high2),
-            _mm512_unpackhi_epi16(high, high2),
-        ]
     }
 
-    /// `PIXELS` pixels of a kernel of `ROWS x COLUMNS` without dilation that moves by `STRIDE`; `SPLIT` times as many where
-    /// `1 / SPLIT` of 64 channels are left.
+    /// `PIXELS` pixels of a kernel of `SIDE x SIDE`, 3 or 5, without dilation that moves by `STRIDE`; `SPLIT` times as many
+    /// where `1 / SPLIT` of 64 channels are left.
     ///
     /// # Safety
-    /// The row passed `Depthwise::check`, has `ROWS * COLUMNS` taps at regular distances and `SPLIT * PIXELS` pixels from
+    /// The row passed `Depthwise::check`, has `SIDE * SIDE` taps at regular distances and `SPLIT * PIXELS` pixels from
     /// `pixel` on, and `out` has room for them; from `channel` on it has 64 channels, or as many as the mask says, or, where
     /// `SPLIT` is not 1, `64 / SPLIT`.
     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
     #[inline]
     unsafe fn run<
-        const ROWS: usize,
-        const COLUMNS: usize,
+        const SIDE: usize,
         const STRIDE: usize,
         const PIXELS: usize,
         const SPLIT: usize,
@@ -490,58 +567,90 @@ impl Strip<'_> {
         &self,
     ) {
         let Depthwise {
-            pitch, interleaved, ..
+            pitch,
+            interleaved: packed,
+            ..
         } = self.depthwise;
         let block = self.channel / WIDE;
         // SAFETY: `Interleaved::new` packed as many for every 64 channels.
         let (weights, starts, factors) = unsafe {
             (
-                interleaved
+                packed
                     .weights
                     .as_ptr()
-                    .add(block * ROWS.div_ceil(TALL) * COLUMNS * TALL * WIDE),
-                interleaved.starts.as_ptr().add(self.channel),
-                interleaved.factors.as_ptr().add(self.channel),
+                    .add(block * quads(SIDE) * TALL * WIDE),
+                packed.starts.as_ptr().add(self.channel),
+                packed.factors.as_ptr().add(self.channel),
             )
         };
-        let mut sums = [[_mm512_setzero_si512(); 4]; PIXELS];
-        for j in 0..4 {
-            // SAFETY: four vectors of starts for every 64 channels.
-            let start = unsafe { _mm512_loadu_si512(starts.add(j * BLOCK).cast()) };
+        // SAFETY: the first tap of each row of taps of the tile's first pixel.
+        let rows: [*const u8; SIDE] = std::array::from_fn(|row| unsafe {
+            let at = self.row.base + self.pixel * self.row.step + self.channel;
+            self.row
+                .input
+                .as_ptr()
+                .add(at + self.row.runs.get_unchecked(row * SIDE))
+        });
+        // SAFETY: each column of the tile is the tap of some output pixel of it.
+        let at = |row: usize, column: usize| unsafe {
+            self.load::<SPLIT>(rows[row].add(column * pitch), PIXELS * STRIDE * pitch)
+        };
+        // The unpacked bytes stay in registers, and each vector of weights serves all pixels: loads of 64 bytes, one a
+        // cycle, are what there is least of.
+        let zero = _mm512_setzero_si512();
+        let mut columns = [[zero; 4]; MOST_COLUMNS];
+        unrolled!(column in 0 1 2 3 4 5 6 {
+            if column < (PIXELS - 1) * STRIDE + SIDE {
+                let fourth = if SIDE > 3 { at(3, column) } else { zero };
+                columns[column] = interleaved([at(0, column), at(1, column), at(2, column), fourth]);
+            }
+        });
+        let mut sums = [[zero; 4]; PIXELS];
+        unrolled!(j in 0 1 2 3 {
+            // SAFETY: a vector of starts and `quads` of weights for each register.
+            let (start, weights) = unsafe {
+                (
+                    _mm512_loadu_si512(starts.add(j * BLOCK).cast()),
+                    weights.add(j * quads(SIDE) * WIDE),
+                )
+            };
             for sums in &mut sums {
                 sums[j] = start;
             }
-        }
-        let start = self.row.base + self.pixel * self.row.step + self.channel;
-        for top in (0..ROWS).step_by(TALL) {
-            let count = TALL.min(ROWS - top);
-            for column in 0..(PIXELS - 1) * STRIDE + COLUMNS {
-                // SAFETY: pixel by pixel along the row: each is the tap of some output pixel of the tile, and so in the
-                // input; rows of taps that do not exist are not read.
-                let bytes = unsafe {
-                    let at = self.row.input.as_ptr().add(start + column * pitch);
-                    let row = |number: usize| {
-                        at.add(self.row.runs[(top + number).min(ROWS - 1) * COLUMNS])
-                    };
-                    let apart = PIXELS * STRIDE * pitch;
-                    self.column::<SPLIT>([row(0), row(1), row(2), row(3)], count, apart)
-                };
-                for (pixel, sums) in sums.iter_mut().enumerate() {
-                    let Some(tap) = column
-                        .checked_sub(pixel * STRIDE)
-                        .filter(|&tap| tap < COLUMNS)
-                    else {
-                        continue;
-                    };
-                    for j in 0..4 {
-                        // SAFETY: four vectors of weights for each column of four rows.
-                        let weights = unsafe {
-                            let at = weights.add(((top / TALL * COLUMNS + tap) * 4 + j) * WIDE);
-                            _mm512_loadu_si512(at.cast())
-                        };
-                        sums[j] = _mm512_dpbusd_epi32(sums[j], bytes[j], weights);
+            unrolled!(tap in 0 1 2 3 4 {
+                if tap < SIDE {
+                    // SAFETY: as above.
+                    let weights = unsafe { _mm512_loadu_si512(weights.add(tap * WIDE).cast()) };
+                    for (pixel, sums) in sums.iter_mut().enumerate() {
+                        sums[j] =
+                            _mm512_dpbusd_epi32(sums[j], columns[pixel * STRIDE + tap][j], weights);
                     }
                 }
+            });
+        });
+        if SIDE > TALL {
+            // The fifth row, four columns to a lane, from each output pixel's first column on, and from the next one's.
+            let last = (PIXELS - 1) * STRIDE + SIDE - 1;
+            let mut row = [zero; MOST_COLUMNS + 1];
+            unrolled!(column in 0 1 2 3 4 5 6 {
+                if column <= last {
+                    row[column] = at(SIDE - 1, column);
+                }
+            });
+            let couple = |first: usize| pair(row[first.min(last)], row[(first + 1).min(last)]);
+            let mut four = words(couple(0), couple(2));
+            for pixel in 0..PIXELS {
+                let first = (pixel + 1) * STRIDE;
+                let next = words(couple(first), couple(first + 2));
+                for j in 0..4 {
+                    // SAFETY: as above.
+                    let weight = |quad: usize| unsafe {
+                        _mm512_loadu_si512(weights.add((j * quads(SIDE) + quad) * WIDE).cast())
+                    };
+                    let sum = _mm512_dpbusd_epi32(sums[pixel][j], four[j], weight(SIDE));
+                    sums[pixel][j] = _mm512_dpbusd_epi32(sum, next[j], weight(SIDE + STRIDE));
+                }
+                four = next;
             }
         }
         for (pixel, sums) in sums.iter().enumerate() {
@@ -569,31 +678,31 @@ impl Strip<'_> {
         }
     }
 
-    /// A row of 64 channels, in tiles of four pixels, the last one moved back onto pixels already done. Of the last 32 or 16
-    /// channels two or four tiles at once, so that no register is half empty.
+    /// A row of 64 channels, in tiles of `PIXELS` pixels, the last one moved back onto pixels already done. Of the last 32 or
+    /// 16 channels two or four tiles at once, so that no register is half empty.
     ///
     /// # Safety
     /// As [`Strip::run`], for the whole row.
     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
-    unsafe fn row<const ROWS: usize, const COLUMNS: usize, const STRIDE: usize>(&mut self) {
+    unsafe fn row<const SIDE: usize, const STRIDE: usize, const PIXELS: usize>(&mut self) {
         let pixels = self.row.pixels;
         let split = WIDE / self.mask.count_ones() as usize;
         // SAFETY: all tiles lie in the row.
         unsafe {
-            if pixels < 4 {
+            if pixels < PIXELS {
                 for pixel in 0..pixels {
                     self.pixel = pixel;
-                    self.run::<ROWS, COLUMNS, STRIDE, 1, 1>();
+                    self.run::<SIDE, STRIDE, 1, 1>();
                 }
                 return;
             }
-            let tile = if pixels < 4 * split { 4 } else { 4 * split };
-            for pixel in (0..pixels).step_by(tile) {
-                self.pixel = pixel.min(pixels - tile);
-                match tile {
-                    4 => self.run::<ROWS, COLUMNS, STRIDE, 4, 1>(),
-                    8 => self.run::<ROWS, COLUMNS, STRIDE, 4, 2>(),
-                    _ => self.run::<ROWS, COLUMNS, STRIDE, 4, 4>(),
+            let tiles = if pixels < PIXELS * split { 1 } else { split };
+            for pixel in (0..pixels).step_by(PIXELS * tiles) {
+                self.pixel = pixel.min(pixels - PIXELS * tiles);
+                match tiles {
+                    1 => self.run::<SIDE, STRIDE, PIXELS, 1>(),
+                    2 => self.run::<SIDE, STRIDE, PIXELS, 2>(),
+                    _ => self.run::<SIDE, STRIDE, PIXELS, 4>(),
                 }
             }
         }
@@ -622,7 +731,7 @@ pub(super) unsafe fn depthwise(depthwise: &Depthwise, row: &Row<'_>, to: &ToByte
         limits: Limits::new(to),
         out: out.as_mut_ptr(),
     };
-    if !close || !matches!((rows, columns, stride), (3, 3, 1 | 2) | (5, 5, 1 | 2)) {
+    if !close || !has(rows, columns) || !matches!(stride, 1 | 2) {
         // SAFETY: every processor with AVX-512 has AVX2.
         return unsafe { avx2::depthwise(depthwise, row, to, out) };
     }
@@ -632,10 +741,10 @@ pub(super) unsafe fn depthwise(depthwise: &Depthwise, row: &Row<'_>, to: &ToByte
         // SAFETY: the caller checked the row; kernel and stride are the row's own.
         unsafe {
             match (rows, stride) {
-                (3, 1) => strip.row::<3, 3, 1>(),
-                (3, _) => strip.row::<3, 3, 2>(),
-                (_, 1) => strip.row::<5, 5, 1>(),
-                _ => strip.row::<5, 5, 2>(),
+                (3, 1) => strip.row::<3, 1, 4>(),
+                (3, _) => strip.row::<3, 2, 2>(),
+                (_, 1) => strip.row::<5, 1, 2>(),
+                _ => strip.row::<5, 2, 2>(),
             }
         }
     }
