@@ -639,7 +639,7 @@ impl Strip<'_> {
             });
             let couple = |first: usize| pair(row[first.min(last)], row[(first + 1).min(last)]);
             let mut four = words(couple(0), couple(2));
-            for pixel in 0..PIXELS {
+            for (pixel, sums) in sums.iter_mut().enumerate() {
                 let first = (pixel + 1) * STRIDE;
                 let next = words(couple(first), couple(first + 2));
                 for j in 0..4 {
@@ -647,8 +647,8 @@ impl Strip<'_> {
                     let weight = |quad: usize| unsafe {
                         _mm512_loadu_si512(weights.add((j * quads(SIDE) + quad) * WIDE).cast())
                     };
-                    let sum = _mm512_dpbusd_epi32(sums[pixel][j], four[j], weight(SIDE));
-                    sums[pixel][j] = _mm512_dpbusd_epi32(sum, next[j], weight(SIDE + STRIDE));
+                    let sum = _mm512_dpbusd_epi32(sums[j], four[j], weight(SIDE));
+                    sums[j] = _mm512_dpbusd_epi32(sum, next[j], weight(SIDE + STRIDE));
                 }
                 four = next;
             }
