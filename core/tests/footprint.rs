@@ -1,24 +1,19 @@
 //! What types and calls cost in memory: the numbers in the crate's documentation.
 #![allow(clippy::unwrap_used)]
 
-use std::hint::black_box;
 use std::mem::size_of;
 
-use gedepth_core::camera::{
-    BrownConrady, CameraModel, ImageSize, Intrinsics, KannalaBrandt, Pinhole, Pixel,
-};
+use gedepth_core::camera::{BrownConrady, ImageSize, Intrinsics, KannalaBrandt, Pinhole, Pixel};
 use gedepth_core::fusion::{
-    AttentionHead, AttentionUnit, DecodeAt, DepthRange, FusedMaps, Fusion, HeadMap,
-    ReferenceFusion, ResidualHead, ResidualUnit, Samples, SlopeHead, Upsampling,
-    reference_scratch_len, scratch_len,
+    AttentionHead, DepthRange, FusedMaps, Fusion, HeadMap, ReferenceFusion, ResidualHead, SlopeHead,
 };
 use gedepth_core::metrics::{
     ByDistance, ByRegion, CloudMatches, CloudMetrics, Crop, DepthErrors, DepthMetrics, Evaluation,
 };
-use gedepth_core::slope::{SlopeClasses, SlopeSign};
+use gedepth_core::slope::SlopeClasses;
 use gedepth_core::table::{
     Coverage, FixedView, GroundCoefficients, GroundLut, GroundView, KittiLut, RayLut, RayView,
-    RowLut, RowTolerance, RowView, write_depth,
+    RowLut, RowTolerance, RowView,
 };
 use gedepth_core::{
     Angle, CameraFrame, Direction, Error, Extrinsics, Ground, GroundPlane, Mounting, Point,
@@ -80,6 +75,16 @@ fn sizes() {
 /// Measured by running calls on a stack of our own that was painted before.
 #[cfg(all(target_os = "linux", not(debug_assertions)))]
 mod stack {
+    use std::hint::black_box;
+
+    use gedepth_core::camera::CameraModel;
+    use gedepth_core::fusion::{
+        AttentionUnit, DecodeAt, ResidualUnit, Samples, Upsampling, reference_scratch_len,
+        scratch_len,
+    };
+    use gedepth_core::slope::SlopeSign;
+    use gedepth_core::table::write_depth;
+
     use super::*;
 
     const WORDS: usize = 1 << 16;
