@@ -754,6 +754,14 @@ fn byte_of(real: f32, to: &ToBytes) -> u8 {
     step.clamp(f32::from(*to.range.start()), f32::from(*to.range.end())) as u8
 }
 
+/// Powers of two as factors: products are exact, so that there is one right byte.
+fn starts_and_factors(outputs: usize) -> (Vec<i32>, Vec<f32>) {
+    let outputs = 0..outputs as i32;
+    outputs
+        .map(|output| (100 * output - 1500, 0.25_f32.powi(3 + output % 3)))
+        .unzip()
+}
+
 /// Blocks of 16 outputs go into registers and memory in groups; nothing is written behind the last.
 #[test]
 fn dense_of_any_outputs_in_rows_of_any_length() {
@@ -767,11 +775,7 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
             let weights: Vec<i8> = (0..outputs * run)
                 .map(|_| numbers.below(255) as i8)
                 .collect();
-            let starts: Vec<i32> = (0..outputs as i32).map(|o| 100 * o - 1500).collect();
-            // Powers of two: products are exact, so that there is one right byte.
-            let factors: Vec<f32> = (0..outputs)
-                .map(|o| 0.25_f32.powi(3 + o as i32 % 3))
-                .collect();
+            let (starts, factors) = starts_and_factors(outputs);
             let row = Row {
                 input: &input,
                 base: 0,
@@ -831,11 +835,7 @@ fn depthwise_of_any_channels_in_rows_of_any_length() {
             let filters: Vec<i8> = (0..channels * side * side)
                 .map(|_| numbers.below(255) as i8)
                 .collect();
-            let starts: Vec<i32> = (0..channels as i32).map(|c| 100 * c - 1500).collect();
-            // Powers of two: products are exact, so that there is one right byte.
-            let factors: Vec<f32> = (0..channels)
-                .map(|c| 0.25_f32.powi(3 + c as i32 % 3))
-                .collect();
+            let (starts, factors) = starts_and_factors(channels);
             let runs: Vec<usize> = (0..side * side)
                 .map(|tap| tap / side * row_bytes + tap % side * pitch)
                 .collect();

@@ -631,7 +631,7 @@ impl Strip<'_> {
         if SIDE > TALL {
             // The fifth row, four columns to a lane, from each output pixel's first column on, and from the next one's.
             let last = (PIXELS - 1) * STRIDE + SIDE - 1;
-            let mut row = [zero; MOST_COLUMNS + 1];
+            let mut row = [zero; MOST_COLUMNS];
             unrolled!(column in 0 1 2 3 4 5 6 {
                 if column <= last {
                     row[column] = at(SIDE - 1, column);
