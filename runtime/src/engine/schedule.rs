@@ -474,7 +474,8 @@ fn write_rows(
     }
 }
 
-/// Bytes from pixel to pixel: four for what enters for dense convolutions alone.
+/// Bytes from pixel to pixel: four for what enters for dense convolutions alone. Whole cache lines where they cost little: a
+/// load that crosses from one to the next takes the time of two.
 fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>]) -> usize {
     let reads = |reader: &&Layer| {
         let named = |input: &Operand| input.name == layer.output;
@@ -487,7 +488,14 @@ fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>]) -> usize {
     let mut readers = order.iter().flat_map(Stage::layers).filter(reads);
     match layer.operation {
         Operation::Quantize if channels <= 4 && readers.all(takes_four) => 4,
-        _ => channels.next_multiple_of(16),
+        _ => {
+            let (vectors, lines) = (channels.next_multiple_of(16), channels.next_multiple_of(64));
+            if lines - vectors <= vectors / 8 {
+                lines
+            } else {
+                vectors
+            }
+        }
     }
 }
 

@@ -40,16 +40,32 @@ impl Limits {
     #[target_feature(enable = "avx512f,avx512bw")]
     #[inline]
     fn pack(&self, v: [__m512i; 4]) -> __m512i {
-        let (one, other) = (
-            _mm512_packs_epi32(v[0], v[1]),
-            _mm512_packs_epi32(v[2], v[3]),
-        );
-        if self.plain {
-            return _mm512_packus_epi16(one, other);
+        self.pack_all([v])[0]
+    }
+
+    /// The same of several fours, with one branch: the compiler computes what stands before a branch that needs it, and
+    /// with one for each four it would keep all inputs of the later ones in memory until then.
+    #[target_feature(enable = "avx512f,avx512bw")]
+    #[inline]
+    fn pack_all<const FOURS: usize>(&self, fours: [[__m512i; 4]; FOURS]) -> [__m512i; FOURS] {
+        let mut words = [[_mm512_setzero_si512(); 2]; FOURS];
+        for (words, four) in words.iter_mut().zip(&fours) {
+            words[0] = _mm512_packs_epi32(four[0], four[1]);
+            words[1] = _mm512_packs_epi32(four[2], four[3]);
         }
-        let one = _mm512_adds_epi16(one, self.zero);
-        let bytes = _mm512_packus_epi16(one, _mm512_adds_epi16(other, self.zero));
-        _mm512_min_epu8(_mm512_max_epu8(bytes, self.low), self.high)
+        let mut bytes = [_mm512_setzero_si512(); FOURS];
+        if self.plain {
+            for (bytes, words) in bytes.iter_mut().zip(&words) {
+                *bytes = _mm512_packus_epi16(words[0], words[1]);
+            }
+        } else {
+            for (bytes, words) in bytes.iter_mut().zip(&words) {
+                let one = _mm512_adds_epi16(words[0], self.zero);
+                let both = _mm512_packus_epi16(one, _mm512_adds_epi16(words[1], self.zero));
+                *bytes = _mm512_min_epu8(_mm512_max_epu8(both, self.low), self.high);
+            }
+        }
+        bytes
     }
 }
 
@@ -395,12 +411,18 @@ unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
 /// 32 or 16 channels are left they come twice or four times, for as many pixels at once.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Interleaved {
-    /// `[64 channels][register][quad][lane][byte]`: a quad for each column of four rows, then three for a fifth row.
-    weights: Vec<i8>,
-    /// `[64 channels][register][lane]`.
-    starts: Vec<i32>,
-    factors: Vec<f32>,
+    /// `[64 channels][register][quad]`: a quad for each column of four rows, then three for a fifth row.
+    weights: Vec<Lanes<[i8; TALL]>>,
+    /// `[64 channels][register]`.
+    starts: Vec<Lanes<i32>>,
+    factors: Vec<Lanes<f32>>,
 }
+
+/// A register in memory. A load that crosses into the next cache line takes the time of two, and here weights are half of all loads:
+/// 5x5 takes 1.8 times as long where they do.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+struct Lanes<T>([T; BLOCK]);
 
 /// Vectors of weights for a register of channels.
 const fn quads(rows: usize) -> usize {
@@ -431,31 +453,27 @@ impl Interleaved {
         let order = |lane: usize| (lane / 16 * 4) + (lane % 16 / 4 * 16) + lane % 4;
         for first in (0..pitch).step_by(WIDE) {
             let left = WIDE.min(pitch - first);
-            let channels = (0..WIDE).map(|lane| match order(lane) {
+            let channel = |lane: usize| match order(lane) {
                 channel if WIDE.is_multiple_of(left) => Some(first + channel % left),
                 channel => Some(first + channel).filter(|_| channel < left),
-            });
-            for register in 0..4 {
+            };
+            let channels: [Option<usize>; WIDE] = std::array::from_fn(channel);
+            for channels in channels.as_chunks::<BLOCK>().0 {
                 for quad in 0..quads(rows) {
-                    for channel in channels.clone().skip(BLOCK * register).take(BLOCK) {
-                        for byte in 0..TALL {
-                            let (row, column) = tap(quad, byte);
-                            let weight = channel.filter(|_| row < rows);
-                            packed.weights.push(weight.map_or(0, |c| {
-                                depthwise.weights[(row * columns + column) * pitch + c]
-                            }));
-                        }
-                    }
+                    let weight = |channel: usize, byte| {
+                        let (row, column) = tap(quad, byte);
+                        let at = (row * columns + column) * pitch + channel;
+                        if row < rows { depthwise.weights[at] } else { 0 }
+                    };
+                    packed.weights.push(Lanes(channels.map(|channel| {
+                        std::array::from_fn(|byte| channel.map_or(0, |c| weight(c, byte)))
+                    })));
                 }
+                let starts = channels.map(|channel| channel.map_or(0, |c| depthwise.starts[c]));
+                packed.starts.push(Lanes(starts));
+                let factors = channels.map(|channel| channel.map_or(0.0, |c| depthwise.factors[c]));
+                packed.factors.push(Lanes(factors));
             }
-            packed.starts.extend(
-                channels
-                    .clone()
-                    .map(|c| c.map_or(0, |c| depthwise.starts[c])),
-            );
-            packed
-                .factors
-                .extend(channels.map(|c| c.map_or(0.0, |c| depthwise.factors[c])));
         }
         packed
     }
@@ -575,12 +593,9 @@ impl Strip<'_> {
         // SAFETY: `Interleaved::new` packed as many for every 64 channels.
         let (weights, starts, factors) = unsafe {
             (
-                packed
-                    .weights
-                    .as_ptr()
-                    .add(block * quads(SIDE) * TALL * WIDE),
-                packed.starts.as_ptr().add(self.channel),
-                packed.factors.as_ptr().add(self.channel),
+                packed.weights.as_ptr().add(block * 4 * quads(SIDE)),
+                packed.starts.as_ptr().add(block * 4),
+                packed.factors.as_ptr().add(block * 4),
             )
         };
         // SAFETY: the first tap of each row of taps of the tile's first pixel.
@@ -595,38 +610,32 @@ impl Strip<'_> {
         let at = |row: usize, column: usize| unsafe {
             self.load::<SPLIT>(rows[row].add(column * pitch), PIXELS * STRIDE * pitch)
         };
-        // The unpacked bytes stay in registers, and each vector of weights serves all pixels: loads of 64 bytes, one a
-        // cycle, are what there is least of.
         let zero = _mm512_setzero_si512();
-        let mut columns = [[zero; 4]; MOST_COLUMNS];
-        unrolled!(column in 0 1 2 3 4 5 6 {
-            if column < (PIXELS - 1) * STRIDE + SIDE {
-                let fourth = if SIDE > 3 { at(3, column) } else { zero };
-                columns[column] = interleaved([at(0, column), at(1, column), at(2, column), fourth]);
-            }
-        });
+        // SAFETY: a vector of starts and `quads` of weights for each register.
+        let weight = |j: usize, quad: usize| unsafe {
+            _mm512_load_si512(weights.add(j * quads(SIDE) + quad).cast())
+        };
         let mut sums = [[zero; 4]; PIXELS];
         unrolled!(j in 0 1 2 3 {
-            // SAFETY: a vector of starts and `quads` of weights for each register.
-            let (start, weights) = unsafe {
-                (
-                    _mm512_loadu_si512(starts.add(j * BLOCK).cast()),
-                    weights.add(j * quads(SIDE) * WIDE),
-                )
-            };
+            // SAFETY: as above.
+            let start = unsafe { _mm512_load_si512(starts.add(j).cast()) };
             for sums in &mut sums {
                 sums[j] = start;
             }
-            unrolled!(tap in 0 1 2 3 4 {
-                if tap < SIDE {
-                    // SAFETY: as above.
-                    let weights = unsafe { _mm512_loadu_si512(weights.add(tap * WIDE).cast()) };
-                    for (pixel, sums) in sums.iter_mut().enumerate() {
-                        sums[j] =
-                            _mm512_dpbusd_epi32(sums[j], columns[pixel * STRIDE + tap][j], weights);
+        });
+        unrolled!(column in 0 1 2 3 4 5 6 {
+            if column < (PIXELS - 1) * STRIDE + SIDE {
+                let fourth = if SIDE > 3 { at(3, column) } else { zero };
+                let four = interleaved([at(0, column), at(1, column), at(2, column), fourth]);
+                unrolled!(pixel in 0 1 2 3 {
+                    if pixel < PIXELS && column >= pixel * STRIDE && column < pixel * STRIDE + SIDE {
+                        let tap = column - pixel * STRIDE;
+                        unrolled!(j in 0 1 2 3 {
+                            sums[pixel][j] = _mm512_dpbusd_epi32(sums[pixel][j], four[j], weight(j, tap));
+                        });
                     }
-                }
-            });
+                });
+            }
         });
         if SIDE > TALL {
             // The fifth row, four columns to a lane, from each output pixel's first column on, and from the next one's.
@@ -643,22 +652,22 @@ impl Strip<'_> {
                 let first = (pixel + 1) * STRIDE;
                 let next = words(couple(first), couple(first + 2));
                 for j in 0..4 {
-                    // SAFETY: as above.
-                    let weight = |quad: usize| unsafe {
-                        _mm512_loadu_si512(weights.add((j * quads(SIDE) + quad) * WIDE).cast())
-                    };
-                    let sum = _mm512_dpbusd_epi32(sums[j], four[j], weight(SIDE));
-                    sums[j] = _mm512_dpbusd_epi32(sum, next[j], weight(SIDE + STRIDE));
+                    let sum = _mm512_dpbusd_epi32(sums[j], four[j], weight(j, SIDE));
+                    sums[j] = _mm512_dpbusd_epi32(sum, next[j], weight(j, SIDE + STRIDE));
                 }
                 four = next;
             }
         }
-        for (pixel, sums) in sums.iter().enumerate() {
-            // SAFETY: four vectors of factors for every 64 channels; `out` has room, and no byte that is masked out is
-            // touched.
+        unrolled!(j in 0 1 2 3 {
+            // SAFETY: four vectors of factors for every 64 channels.
+            let factors = unsafe { _mm512_load_ps(factors.add(j).cast()) };
+            for sums in &mut sums {
+                sums[j] = scaled(sums[j], factors);
+            }
+        });
+        for (pixel, bytes) in self.limits.pack_all(sums).into_iter().enumerate() {
+            // SAFETY: `out` has room, and no byte that is masked out is touched.
             unsafe {
-                let of = |j: usize| scaled(sums[j], _mm512_loadu_ps(factors.add(j * BLOCK)));
-                let bytes = self.limits.pack([of(0), of(1), of(2), of(3)]);
                 let out = self.out.add((self.pixel + pixel) * pitch + self.channel);
                 let at = |part: usize| out.add(part * PIXELS * pitch);
                 match SPLIT {
