@@ -106,6 +106,50 @@ impl Taps {
     }
 }
 
+/// The rows of an inlined input that a row of output takes, in memory of the thread's own: row `y` is number
+/// `(y + above) % rows` of them, so that the next row of output finds those that it shares with the last one in place.
+#[derive(Debug)]
+struct Band {
+    rows: usize,
+    /// Rows above the input that the first row of output takes.
+    above: usize,
+    /// Rows from one row of output to the next.
+    stride: usize,
+    /// From the first pixel of the band to each tap, for each place that the topmost row may be in.
+    runs: Vec<Vec<usize>>,
+    /// The first output pixel's first tap, from the start of a row.
+    base: usize,
+}
+
+impl Band {
+    /// `parts` kernels, one after the other, on the same pixels.
+    fn new(window: &Window, parts: usize, input: &Buffer) -> Result<Self, String> {
+        let [above, left] = window.place([input.height, input.width])?.before;
+        let rows = (window.kernel[0] - 1) * window.dilations[0] + 1;
+        let runs = |topmost: usize| {
+            let tap = |row: usize, column: usize| {
+                (topmost + row * window.dilations[0]) % rows * input.row_bytes()
+                    + column * window.dilations[1] * input.pitch
+            };
+            let taps = |row| (0..window.kernel[1]).map(move |column| tap(row, column));
+            (0..parts)
+                .flat_map(|_| (0..window.kernel[0]).flat_map(taps))
+                .collect()
+        };
+        Ok(Self {
+            rows,
+            above,
+            stride: window.strides[0],
+            runs: (0..rows).map(runs).collect(),
+            base: (input.border - left) * input.pitch,
+        })
+    }
+
+    fn bytes(&self, input: &Buffer) -> usize {
+        self.rows * input.row_bytes()
+    }
+}
+
 /// Where a planar f32 tensor is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Planes {
@@ -146,6 +190,7 @@ enum Work {
     Depthwise {
         depthwise: Depthwise,
         taps: Taps,
+        band: Band,
         to: ToBytes,
     },
     Add(Addition),
@@ -202,7 +247,7 @@ enum Work {
 struct Step {
     work: Work,
     reads: Vec<Buffer>,
-    /// Which of them are not there, and how each of their rows is made; empty where all are there.
+    /// Which of them are not there, and how each of their rows is made.
     inlined: Vec<Option<Step>>,
     /// `None` where the result leaves the island.
     writes: Option<Buffer>,
@@ -210,10 +255,22 @@ struct Step {
 }
 
 impl Step {
-    /// Bytes of one row of all inlined steps.
+    /// Bytes that the rows of all inlined steps take at once.
     fn inlined_bytes(&self) -> usize {
-        let writes = self.inlined.iter().flatten().filter_map(|step| step.writes);
-        writes.map(|buffer| buffer.width * buffer.pitch).sum()
+        let inlined = self.inlined.iter().flatten();
+        inlined
+            .map(|step| self.kept_bytes(step) + step.inlined_bytes())
+            .sum()
+    }
+
+    /// Bytes of the rows of an inlined step that are there at once; each begins where a cache line does.
+    fn kept_bytes(&self, inlined: &Step) -> usize {
+        let bytes = match (&self.work, &inlined.writes) {
+            (Work::Depthwise { band, .. }, Some(buffer)) => band.bytes(buffer),
+            (_, Some(buffer)) => buffer.width * buffer.pitch,
+            (_, None) => 0,
+        };
+        bytes.next_multiple_of(64)
     }
 }
 
@@ -235,7 +292,7 @@ pub(crate) struct Schedule {
     /// A row of f32 for each member.
     scratch: Vec<Mutex<Vec<f32>>>,
     /// Rows of inlined steps, for each member.
-    rows: Vec<Mutex<Vec<u8>>>,
+    rows: Vec<Mutex<Arena>>,
     inputs: Vec<Shape>,
     outputs: Vec<Shape>,
 }
@@ -268,7 +325,7 @@ impl Schedule {
                 .ok_or_else(|| format!("`{name}` is not made"))
         };
         let outputs: Vec<Shape> = island.outputs.iter().map(shape).collect::<Result<_, _>>()?;
-        let order = stages(&island.layers, &shapes);
+        let order = stages(&island.layers, &shapes, threads);
         let (buffers, arena) = place(&order, &shapes)?;
         let (planes, floats) = place_floats(island, &order, &shapes)?;
         let steps = order
@@ -287,7 +344,7 @@ impl Schedule {
             .clone()
             .map(|_| Mutex::new(vec![0.0; widest]))
             .collect();
-        let rows = members.map(|_| Mutex::new(vec![0; longest])).collect();
+        let rows = members.map(|_| Mutex::new(Arena::new(longest))).collect();
         Ok(Self {
             kernel,
             entrance: entrance(&steps),
@@ -450,7 +507,7 @@ fn write_rows(
     arena: &Shared<'_, u8>,
     buffer: &Buffer,
     rows: Range<usize>,
-    row: impl Fn(usize, &mut [u8]),
+    mut row: impl FnMut(usize, &mut [u8]),
 ) {
     // SAFETY: `place` gave what is written a place that nothing else is in as long as it is read; each row is one
     // member's, with the border on its sides, and so is the border above the first and below the last.
@@ -464,14 +521,17 @@ fn write_rows(
             let end = buffer.offset + buffer.len();
             write(end - border..end).fill(buffer.zero);
         }
-        let whole = write(buffer.whole_row(y));
-        let side = buffer.border * buffer.pitch;
-        let (left, rest) = whole.split_at_mut(side);
-        let (pixels, right) = rest.split_at_mut(buffer.width * buffer.pitch);
-        left.fill(buffer.zero);
-        right.fill(buffer.zero);
-        row(y, pixels);
+        row(y, between_borders(buffer, write(buffer.whole_row(y))));
     }
+}
+
+/// A row's pixels; its border is written.
+fn between_borders<'a>(buffer: &Buffer, whole: &'a mut [u8]) -> &'a mut [u8] {
+    let (left, rest) = whole.split_at_mut(buffer.border * buffer.pitch);
+    let (pixels, right) = rest.split_at_mut(buffer.width * buffer.pitch);
+    left.fill(buffer.zero);
+    right.fill(buffer.zero);
+    pixels
 }
 
 /// Bytes from pixel to pixel: four for what enters for dense convolutions alone. Whole cache lines where they cost little: a
@@ -678,22 +738,26 @@ fn with_inlined(
     shapes: &HashMap<&str, Shape>,
     kernel: Kernel,
 ) -> Result<Step, String> {
-    let step = |siblings: &[&Layer]| step(siblings, buffers, planes, shapes, kernel);
-    let mut whole = step(&stage.siblings)?;
-    if !stage.inlined.is_empty() {
-        let named = |operand: &Operand| {
-            let layer = stage
-                .inlined
-                .iter()
-                .find(|layer| layer.output == operand.name);
-            layer.map(|layer| step(&[layer])).transpose()
-        };
-        whole.inlined = stage.siblings[0]
-            .inputs
-            .iter()
-            .map(named)
-            .collect::<Result<_, _>>()?;
-    }
+    with_inputs(&stage.siblings, &stage.inlined, &|siblings| {
+        step(siblings, buffers, planes, shapes, kernel)
+    })
+}
+
+/// The work of siblings, with that of the inlined layers that make their inputs, and so on.
+fn with_inputs(
+    siblings: &[&Layer],
+    inlined: &[&Layer],
+    step: &dyn Fn(&[&Layer]) -> Result<Step, String>,
+) -> Result<Step, String> {
+    let mut whole = step(siblings)?;
+    let named = |operand: &Operand| {
+        let layer = inlined.iter().find(|layer| layer.output == operand.name);
+        layer
+            .map(|layer| with_inputs(&[layer], inlined, step))
+            .transpose()
+    };
+    let inputs = siblings[0].inputs.iter().map(named);
+    whole.inlined = inputs.collect::<Result<_, _>>()?;
     Ok(whole)
 }
 
@@ -869,6 +933,7 @@ fn step(
                 Work::Depthwise {
                     depthwise,
                     taps: Taps::new(window, input, runs.collect())?,
+                    band: Band::new(window, parts, input)?,
                     to,
                 }
             } else {
@@ -1094,13 +1159,22 @@ fn scratch(step: &Step) -> usize {
     }
 }
 
+/// Which row a member makes.
+#[derive(Clone, Copy, Debug)]
+struct Turn {
+    y: usize,
+    /// Whether it is the first one of its share, so that none before it left anything.
+    first: bool,
+    member: usize,
+}
+
 /// What a run's members share.
 struct Run<'a> {
     kernel: Kernel,
     arena: Shared<'a, u8>,
     floats: Shared<'a, f32>,
     scratch: &'a [Mutex<Vec<f32>>],
-    rows: &'a [Mutex<Vec<u8>>],
+    rows: &'a [Mutex<Arena>],
     inputs: &'a [&'a [f32]],
     outputs: &'a [Shared<'a, f32>],
 }
@@ -1186,42 +1260,75 @@ impl Run<'_> {
     /// One member's share of a step.
     fn step(&self, step: &Step, member: &Member<'_>) {
         let rows = member.share(step.rows);
+        let first = rows.start;
         match &step.writes {
-            Some(buffer) => write_rows(&self.arena, buffer, rows, |y, row| {
-                self.row(step, buffer, y, row, member.number)
-            }),
+            Some(buffer) => {
+                let memory = self.rows[member.number].lock();
+                let mut memory = memory.unwrap_or_else(PoisonError::into_inner);
+                write_rows(&self.arena, buffer, rows, |y, row| {
+                    let turn = Turn {
+                        y,
+                        first: y == first,
+                        member: member.number,
+                    };
+                    self.row(step, buffer, turn, row, memory.bytes())
+                });
+            }
             None => rows.for_each(|y| self.leave(step, y, member.number)),
         }
     }
 
-    /// Row `y` of an inlined step, in the first of the bytes that are free.
-    fn inlined<'a>(
-        &self,
-        step: &Step,
-        y: usize,
-        free: &mut &'a mut [u8],
-        member: usize,
-    ) -> &'a [u8] {
+    /// A row of an inlined step, in the first of the bytes that are free.
+    fn inlined<'a>(&self, of: &Step, step: &Step, turn: Turn, free: &mut &'a mut [u8]) -> &'a [u8] {
         let Some(buffer) = &step.writes else {
             return &[];
         };
-        let row = free.split_off_mut(..buffer.width * buffer.pitch);
-        let row = row.unwrap_or_default();
-        self.row(step, buffer, y, row, member);
+        let kept = free
+            .split_off_mut(..of.kept_bytes(step))
+            .unwrap_or_default();
+        let below = free
+            .split_off_mut(..step.inlined_bytes())
+            .unwrap_or_default();
+        let row = &mut kept[..buffer.width * buffer.pitch];
+        self.row(step, buffer, turn, row, below);
         row
     }
 
-    /// One row of bytes.
-    fn row(&self, step: &Step, buffer: &Buffer, y: usize, out: &mut [u8], member: usize) {
+    /// The rows of an inlined step that a row of output takes: makes those that the row before did not take.
+    fn band<'a>(
+        &self,
+        band: &'a Band,
+        step: &Step,
+        turn: Turn,
+        free: &'a mut [u8],
+    ) -> Option<(&'a [u8], &'a [usize])> {
+        let buffer = step.writes.as_ref()?;
+        let (kept, below) = free.split_at_mut(band.bytes(buffer).next_multiple_of(64));
+        let topmost = turn.y * band.stride;
+        let known = band
+            .rows
+            .saturating_sub(if turn.first { band.rows } else { band.stride });
+        for number in known..band.rows {
+            let at = (topmost + number) % band.rows * buffer.row_bytes();
+            let whole = &mut kept[at..at + buffer.row_bytes()];
+            match (topmost + number).checked_sub(band.above) {
+                Some(y) if y < buffer.height => {
+                    let pixels = between_borders(buffer, whole);
+                    self.row(step, buffer, Turn { y, ..turn }, pixels, below);
+                }
+                _ => whole.fill(buffer.zero),
+            }
+        }
+        Some((kept, &band.runs[topmost % band.rows]))
+    }
+
+    /// One row of bytes; `free` is memory for the rows of inlined steps.
+    fn row(&self, step: &Step, buffer: &Buffer, turn: Turn, out: &mut [u8], mut free: &mut [u8]) {
         let kernel = self.kernel;
-        let mut memory = (!step.inlined.is_empty()).then(|| {
-            let rows = self.rows[member].lock();
-            rows.unwrap_or_else(PoisonError::into_inner)
-        });
-        let mut free: &mut [u8] = memory.as_mut().map_or(&mut [], |rows| rows);
+        let Turn { y, member, .. } = turn;
         // Of a tensor of one pixel, that one.
         let mut input = |number: usize| match step.inlined.get(number) {
-            Some(Some(inner)) => self.inlined(inner, y, &mut free, member),
+            Some(Some(inner)) => self.inlined(step, inner, turn, &mut free),
             _ => {
                 let read = &step.reads[number];
                 self.read(read.row(y.min(read.height - 1)))
@@ -1251,15 +1358,30 @@ impl Run<'_> {
                 }
             }
             Work::Dense { dense, taps, to } => {
-                let row = taps.row(self.read(step.reads[0].all()), y, buffer.width);
+                let row = match step.inlined[0] {
+                    Some(_) => taps.row(input(0), 0, buffer.width),
+                    None => taps.row(self.read(step.reads[0].all()), y, buffer.width),
+                };
                 kernel.dense_bytes(dense, &row, to, out, buffer.pitch);
             }
             Work::Depthwise {
                 depthwise,
                 taps,
+                band,
                 to,
             } => {
-                let row = taps.row(self.read(step.reads[0].all()), y, buffer.width);
+                let inner = step.inlined[0].as_ref();
+                let kept = inner.and_then(|inner| self.band(band, inner, turn, free));
+                let row = match kept {
+                    Some((input, runs)) => Row {
+                        input,
+                        base: band.base,
+                        runs,
+                        step: taps.steps[1],
+                        pixels: buffer.width,
+                    },
+                    None => taps.row(self.read(step.reads[0].all()), y, buffer.width),
+                };
                 kernel.depthwise(depthwise, &row, to, out);
             }
             Work::Add(addition) => {

@@ -2,10 +2,15 @@
 
 use std::collections::HashMap;
 
-use super::layer::{Form, Layer, Operation, Shape};
+use super::layer::{Convolution, Form, Layer, Operation, Padding, Shape, Window};
 
 /// Widest convolution that shares one block with its siblings.
 const SIBLING_LANES: usize = 16;
+
+/// Bytes that a core's own cache does not hold beside all else.
+const LARGE: usize = 1 << 20;
+/// Of as many rows one may be made twice.
+const REPEATED: usize = 16;
 
 /// Layers that run as one.
 #[derive(Debug)]
@@ -24,8 +29,12 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// All layers in order.
-pub(super) fn stages<'a>(layers: &'a [Layer], shapes: &HashMap<&str, Shape>) -> Vec<Stage<'a>> {
+/// All layers in order, to be run by a number of threads.
+pub(super) fn stages<'a>(
+    layers: &'a [Layer],
+    shapes: &HashMap<&str, Shape>,
+    threads: usize,
+) -> Vec<Stage<'a>> {
     let mut readers: HashMap<&str, usize> = HashMap::new();
     for input in layers.iter().flat_map(|layer| &layer.inputs) {
         *readers.entry(&input.name).or_default() += 1;
@@ -39,12 +48,17 @@ pub(super) fn stages<'a>(layers: &'a [Layer], shapes: &HashMap<&str, Shape>) -> 
     }
     let mut inlined: HashMap<&str, Vec<&Layer>> = HashMap::new();
     let mut moved: Vec<&str> = Vec::new();
-    for layer in layers
-        .iter()
-        .filter(|layer| reads_its_row_alone(layer, shapes))
-    {
+    for layer in layers {
         for input in &layer.inputs {
-            if let Some(producer) = producers.get(input.name.as_str()) {
+            let Some(&producer) = producers.get(input.name.as_str()) else {
+                continue;
+            };
+            // A row that is made twice must not have others made twice before it.
+            let first = !inlined.contains_key(producer.output.as_str());
+            if reads_its_row_alone(layer, shapes)
+                || takes_depthwise_row(layer, producer)
+                || first && pays_twice(layer, producer, shapes, threads)
+            {
                 inlined.entry(&layer.output).or_default().push(producer);
                 moved.push(&producer.output);
             }
@@ -53,13 +67,23 @@ pub(super) fn stages<'a>(layers: &'a [Layer], shapes: &HashMap<&str, Shape>) -> 
     with_siblings_together(layers)
         .into_iter()
         .filter(|siblings| !moved.contains(&siblings[0].output.as_str()))
-        .map(|siblings| Stage {
-            inlined: inlined
-                .remove(siblings[0].output.as_str())
-                .unwrap_or_default(),
-            siblings,
+        .map(|siblings| {
+            let mut stage = Stage {
+                inlined: Vec::new(),
+                siblings,
+            };
+            gather(stage.siblings[0], &inlined, &mut stage.inlined);
+            stage
         })
         .collect()
+}
+
+/// All that is inlined into a layer, and into that, what comes first first.
+fn gather<'a>(layer: &Layer, inlined: &HashMap<&str, Vec<&'a Layer>>, all: &mut Vec<&'a Layer>) {
+    for producer in inlined.get(layer.output.as_str()).into_iter().flatten() {
+        gather(producer, inlined, all);
+        all.push(producer);
+    }
 }
 
 /// Whether its rows of bytes can be made one at a time, and making one is worth more than calling for it.
@@ -84,6 +108,54 @@ fn reads_its_row_alone(layer: &Layer, shapes: &HashMap<&str, Shape>) -> bool {
             Operation::Concat => true,
             _ => false,
         }
+}
+
+/// The convolution of a layer, and whether it is depthwise.
+fn convolution(layer: &Layer) -> Option<(&Convolution, bool)> {
+    match &layer.operation {
+        Operation::Convolution(c) => Some((c, c.depthwise)),
+        _ => None,
+    }
+}
+
+/// Whether it is the pointwise convolution of a depthwise one: takes that row and no other.
+fn takes_depthwise_row(layer: &Layer, producer: &Layer) -> bool {
+    let plain = Window {
+        kernel: [1; 2],
+        strides: [1; 2],
+        dilations: [1; 2],
+        padding: Padding::Explicit([0; 4]),
+        ceil: false,
+    };
+    let pointwise = matches!(convolution(layer), Some((c, false)) if c.window == plain);
+    pointwise
+        && matches!(layer.form, Form::Bytes { .. })
+        && matches!(convolution(producer), Some((_, true)))
+}
+
+/// Whether a depthwise layer had better have the rows made that its window takes, though each thread's first ones are made
+/// by the thread before it too, than read them from a tensor that no cache of a core's own holds.
+fn pays_twice(
+    layer: &Layer,
+    producer: &Layer,
+    shapes: &HashMap<&str, Shape>,
+    threads: usize,
+) -> bool {
+    let (Some((depthwise, true)), Some((_, false))) = (convolution(layer), convolution(producer))
+    else {
+        return false;
+    };
+    let shape @ [_, height, _] = shapes[producer.output.as_str()];
+    let Window {
+        kernel,
+        strides,
+        dilations,
+        ..
+    } = &depthwise.window;
+    let twice = ((kernel[0] - 1) * dilations[0] + 1).saturating_sub(strides[0]);
+    matches!(layer.form, Form::Bytes { .. })
+        && shape.iter().product::<usize>() >= LARGE
+        && twice * threads.saturating_sub(1) * REPEATED <= height
 }
 
 /// Layers in order, with convolutions together whose f32 results fit one block and come from the same pixels.
@@ -156,7 +228,7 @@ mod tests {
     fn outputs(layers: &[Layer], shapes: &[(&str, Shape)]) -> Vec<Vec<String>> {
         let shapes = shapes.iter().copied().collect();
         let names = |stage: &Stage<'_>| stage.layers().map(|l| l.output.clone()).collect();
-        stages(layers, &shapes).iter().map(names).collect()
+        stages(layers, &shapes, 1).iter().map(names).collect()
     }
 
     /// What an addition alone reads is made by it, row by row; what others read too is not, nor what is repeated.
