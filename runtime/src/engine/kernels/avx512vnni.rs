@@ -320,9 +320,8 @@ pub(super) unsafe fn dense_bytes(
 /// As [`dense_bytes`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 pub(super) unsafe fn dense_floats(dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
-    let narrow = row.step == NARROW && dense.run.is_multiple_of(NARROW);
     let out = out.as_mut_ptr();
-    if dense.outputs <= FEW && narrow && row.pixels >= FEW_PIXELS {
+    if !dense.few.0.is_empty() && row.step == NARROW && row.pixels >= FEW_PIXELS {
         // SAFETY: passed on; one block has all outputs, and no other lane is written.
         return unsafe { few_floats(dense, row, out) };
     }
@@ -335,69 +334,96 @@ const FEW: usize = 4;
 const NARROW: usize = 16;
 const FEW_PIXELS: usize = 16;
 
-/// Up to four outputs from pixels of 16 channels: the heads. A register holds four outputs of four pixels, instead of sixteen of
-/// one of which most do not exist.
-///
-/// # Safety
-/// As [`dense_bytes`]; the row passed `Dense::check`, its pixels lie [`NARROW`] bytes apart, runs are whole pixels, and it has
-/// [`FEW_PIXELS`] pixels or more; there are at most [`FEW`] outputs; `out` has room for their rows.
-#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
-unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
-    // From four outputs of four pixels to four pixels of four outputs.
-    let by_output = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
-    // SAFETY: a block has 16 starts and factors.
-    let (starts, factors) = unsafe {
-        (
-            _mm512_broadcast_i32x4(_mm_loadu_si128(dense.starts.as_ptr().cast())),
-            _mm512_broadcast_f32x4(_mm_loadu_ps(dense.factors.as_ptr())),
-        )
-    };
-    for pixel in (0..row.pixels).step_by(FEW_PIXELS) {
-        let pixel = pixel.min(row.pixels - FEW_PIXELS);
-        let mut sums = [starts; FEW_PIXELS / 4];
-        let mut weights = dense.weights.as_ptr();
-        for offset in row.runs {
-            for tap in (0..dense.run).step_by(NARROW) {
-                // SAFETY: the tap's bytes of 16 pixels of the row, one after the other.
-                let input = unsafe {
-                    let at = row.base + offset + pixel * NARROW + tap;
-                    let input = row.input.as_ptr().add(at);
-                    [0, 1, 2, 3].map(|four| _mm512_loadu_si512(input.add(64 * four).cast()))
-                };
-                macro_rules! quad {
-                    ($number:literal) => {{
-                        // SAFETY: a block has `runs * run / 4` vectors of weights; the first quarter of each is that of
-                        // the first four outputs.
-                        let of_quad = unsafe {
-                            let at = weights.add($number * 4 * BLOCK);
-                            _mm512_broadcast_i32x4(_mm_loadu_si128(at.cast()))
-                        };
-                        for (sums, input) in sums.iter_mut().zip(input) {
-                            let quad = _mm512_shuffle_epi32::<{ $number * 0b01_01_01_01 }>(input);
-                            *sums = _mm512_dpbusd_epi32(*sums, quad, of_quad);
-                        }
-                    }};
-                }
-                quad!(0);
-                quad!(1);
-                quad!(2);
-                quad!(3);
-                // SAFETY: at most to the end of the weights.
-                weights = unsafe { weights.add(4 * 4 * BLOCK) };
+/// Weights of up to [`FEW`] outputs, `[run][16 bytes of it][output]`; empty where they are more, or runs no multiple of 16.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Few(Vec<[i8; NARROW]>);
+
+impl Few {
+    pub(super) fn new(
+        outputs: usize,
+        runs: usize,
+        run: usize,
+        weight: impl Fn(usize, usize, usize) -> i8,
+    ) -> Self {
+        if outputs > FEW || !run.is_multiple_of(NARROW) {
+            return Self::default();
+        }
+        let mut few = Vec::with_capacity(runs * run / NARROW * outputs);
+        for number in 0..runs {
+            for start in (0..run).step_by(NARROW) {
+                few.extend((0..outputs).map(|output| {
+                    std::array::from_fn(|byte| weight(output, number, start + byte))
+                }));
             }
         }
-        for (four, sums) in sums.into_iter().enumerate() {
-            let values = _mm512_mul_ps(_mm512_cvtepi32_ps(sums), factors);
-            let values = _mm512_permutexvar_ps(by_output, values);
-            let rows = [
-                _mm512_castps512_ps128(values),
-                _mm512_extractf32x4_ps::<1>(values),
-                _mm512_extractf32x4_ps::<2>(values),
-                _mm512_extractf32x4_ps::<3>(values),
-            ];
-            for (output, values) in rows.into_iter().enumerate().take(dense.outputs) {
-                // SAFETY: four pixels of the output's row.
-                unsafe { _mm_storeu_ps(out.add(output * row.pixels + pixel + 4 * four), values) };
+        Self(few)
+    }
+}
+
+/// Up to four outputs from pixels of 16 channels: the heads. A register holds four pixels of one output, each as four sums that are
+/// added up in the end, instead of sixteen outputs of one pixel of which most do not exist.
+///
+/// # Safety
+/// As [`dense_bytes`]; the row passed `Dense::check`, its pixels lie [`NARROW`] bytes apart and it has [`FEW_PIXELS`] or more;
+/// `Dense::few` is not empty; `out` has room for the outputs' rows.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
+    // SAFETY: passed on; no more outputs have weights of this kind.
+    unsafe {
+        match dense.outputs {
+            1 => few_of::<1>(dense, row, out),
+            2 => few_of::<2>(dense, row, out),
+            3 => few_of::<3>(dense, row, out),
+            _ => few_of::<FEW>(dense, row, out),
+        }
+    }
+}
+
+/// # Safety
+/// As [`few_floats`]; there are `OUTPUTS` outputs.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+#[inline]
+unsafe fn few_of<const OUTPUTS: usize>(dense: &Dense, row: &Row<'_>, out: *mut f32) {
+    for pixel in (0..row.pixels).step_by(FEW_PIXELS) {
+        let pixel = pixel.min(row.pixels - FEW_PIXELS);
+        let mut sums = [[_mm512_setzero_si512(); FEW_PIXELS / 4]; OUTPUTS];
+        let mut weights = dense.few.0.as_ptr();
+        for offset in row.runs {
+            for tap in (0..dense.run).step_by(NARROW) {
+                let at = row.base + offset + pixel * NARROW + tap;
+                let mut input = [_mm512_setzero_si512(); FEW_PIXELS / 4];
+                for (four, input) in input.iter_mut().enumerate() {
+                    // SAFETY: the tap's bytes of four pixels of the row, one after the other.
+                    *input = unsafe {
+                        _mm512_loadu_si512(row.input.as_ptr().add(at + 64 * four).cast())
+                    };
+                }
+                for (output, sums) in sums.iter_mut().enumerate() {
+                    // SAFETY: each 16 bytes of each run have weights of each output.
+                    let of_tap = unsafe { _mm_loadu_si128(weights.add(output).cast()) };
+                    let of_tap = _mm512_broadcast_i32x4(of_tap);
+                    for (sums, &input) in sums.iter_mut().zip(&input) {
+                        *sums = _mm512_dpbusd_epi32(*sums, input, of_tap);
+                    }
+                }
+                // SAFETY: at most to the end of the weights.
+                weights = unsafe { weights.add(OUTPUTS) };
+            }
+        }
+        // Lane `4 l + k` of all that is added up is pixel `4 k + l`.
+        let by_pixel = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+        for (output, [a, b, c, d]) in sums.into_iter().enumerate() {
+            let ab = _mm512_add_epi32(_mm512_unpacklo_epi32(a, b), _mm512_unpackhi_epi32(a, b));
+            let cd = _mm512_add_epi32(_mm512_unpacklo_epi32(c, d), _mm512_unpackhi_epi32(c, d));
+            let all =
+                _mm512_add_epi32(_mm512_unpacklo_epi64(ab, cd), _mm512_unpackhi_epi64(ab, cd));
+            // SAFETY: a start and a factor for each output, and sixteen pixels of its row.
+            unsafe {
+                let start = _mm512_set1_epi32(*dense.starts.get_unchecked(output));
+                let factor = _mm512_set1_ps(*dense.factors.get_unchecked(output));
+                let sum = _mm512_permutexvar_epi32(by_pixel, _mm512_add_epi32(all, start));
+                let value = _mm512_mul_ps(_mm512_cvtepi32_ps(sum), factor);
+                _mm512_storeu_ps(out.add(output * row.pixels + pixel), value);
             }
         }
     }

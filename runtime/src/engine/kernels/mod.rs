@@ -26,7 +26,7 @@ mod neon;
 mod portable;
 
 #[cfg(target_arch = "x86_64")]
-use avx512vnni::Interleaved;
+use avx512vnni::{Few, Interleaved};
 #[cfg(target_arch = "aarch64")]
 use neon::depthwise::Interleaved;
 pub(crate) use portable::{
@@ -149,6 +149,9 @@ pub(crate) struct Dense {
     run: usize,
     packing: Packing,
     weights: Vec<i8>,
+    /// The same in another order, where there are few outputs.
+    #[cfg(target_arch = "x86_64")]
+    few: Few,
     starts: Vec<i32>,
     factors: Vec<f32>,
 }
@@ -185,6 +188,11 @@ impl Dense {
             }
             first += group;
         }
+        #[cfg(target_arch = "x86_64")]
+        let few = match kernel {
+            Kernel::Avx512Vnni => Few::new(outputs, runs, run, &weight),
+            _ => Few::default(),
+        };
         let padded = |length| length - outputs;
         let mut starts = starts.to_vec();
         if kernel == Kernel::NeonDotprod {
@@ -208,6 +216,8 @@ impl Dense {
             run,
             packing,
             weights,
+            #[cfg(target_arch = "x86_64")]
+            few,
             starts,
             factors,
         }
