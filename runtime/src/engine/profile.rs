@@ -28,12 +28,14 @@ impl LayerTime {
     pub(super) fn new(stage: &Stage<'_>, shapes: &HashMap<&str, Shape>) -> Self {
         let layer = stage.siblings[0];
         let shape = shapes[layer.output.as_str()];
-        let pixels = (shape[1] * shape[2]) as u64;
         let weights = |layer: &Layer| match &layer.operation {
             Operation::Convolution(convolution) => convolution.weights.len() as u64,
             _ => 0,
         };
-        let weights: u64 = stage.layers().map(weights).sum();
+        let multiply_adds = |layer: &Layer| {
+            let [_, height, width] = shapes[layer.output.as_str()];
+            weights(layer) * (height * width) as u64
+        };
         let bytes = |name: &str, value: usize| {
             let values = shapes.get(name).map_or(0, |shape| shape.iter().product());
             (values * value) as u64
@@ -70,8 +72,10 @@ impl LayerTime {
                 shape[1],
                 shape[2],
             ],
-            multiply_adds: weights * pixels,
-            bytes: read + weights + stage.siblings.iter().map(written).sum::<u64>(),
+            multiply_adds: stage.layers().map(multiply_adds).sum(),
+            bytes: read
+                + stage.layers().map(weights).sum::<u64>()
+                + stage.siblings.iter().map(written).sum::<u64>(),
             time: Duration::ZERO,
         }
     }

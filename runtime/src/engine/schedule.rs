@@ -77,6 +77,8 @@ struct Taps {
     base: usize,
     /// From output row to output row, and from output pixel to output pixel.
     steps: [usize; 2],
+    /// The same where the input is inlined.
+    band: Band,
 }
 
 impl Taps {
@@ -85,8 +87,22 @@ impl Taps {
             before: [top, left],
             ..
         } = window.place([input.height, input.width])?;
+        let rows = (window.kernel[0] - 1) * window.dilations[0] + 1;
+        let in_band = |topmost: usize, run: &usize| {
+            (topmost + run / input.row_bytes()) % rows * input.row_bytes() + run % input.row_bytes()
+        };
+        let band = Band {
+            rows,
+            above: top,
+            stride: window.strides[0],
+            runs: (0..rows)
+                .map(|topmost| runs.iter().map(|run| in_band(topmost, run)).collect())
+                .collect(),
+            base: (input.border - left) * input.pitch,
+        };
         Ok(Self {
             runs,
+            band,
             base: (input.border - top) * input.row_bytes() + (input.border - left) * input.pitch,
             steps: [
                 window.strides[0] * input.row_bytes(),
@@ -122,29 +138,6 @@ struct Band {
 }
 
 impl Band {
-    /// `parts` kernels, one after the other, on the same pixels.
-    fn new(window: &Window, parts: usize, input: &Buffer) -> Result<Self, String> {
-        let [above, left] = window.place([input.height, input.width])?.before;
-        let rows = (window.kernel[0] - 1) * window.dilations[0] + 1;
-        let runs = |topmost: usize| {
-            let tap = |row: usize, column: usize| {
-                (topmost + row * window.dilations[0]) % rows * input.row_bytes()
-                    + column * window.dilations[1] * input.pitch
-            };
-            let taps = |row| (0..window.kernel[1]).map(move |column| tap(row, column));
-            (0..parts)
-                .flat_map(|_| (0..window.kernel[0]).flat_map(taps))
-                .collect()
-        };
-        Ok(Self {
-            rows,
-            above,
-            stride: window.strides[0],
-            runs: (0..rows).map(runs).collect(),
-            base: (input.border - left) * input.pitch,
-        })
-    }
-
     fn bytes(&self, input: &Buffer) -> usize {
         self.rows * input.row_bytes()
     }
@@ -190,7 +183,6 @@ enum Work {
     Depthwise {
         depthwise: Depthwise,
         taps: Taps,
-        band: Band,
         to: ToBytes,
     },
     Add(Addition),
@@ -266,7 +258,9 @@ impl Step {
     /// Bytes of the rows of an inlined step that are there at once; each begins where a cache line does.
     fn kept_bytes(&self, inlined: &Step) -> usize {
         let bytes = match (&self.work, &inlined.writes) {
-            (Work::Depthwise { band, .. }, Some(buffer)) => band.bytes(buffer),
+            (Work::Dense { taps, .. } | Work::Depthwise { taps, .. }, Some(buffer)) => {
+                taps.band.bytes(buffer)
+            }
             (_, Some(buffer)) => buffer.width * buffer.pitch,
             (_, None) => 0,
         };
@@ -933,7 +927,6 @@ fn step(
                 Work::Depthwise {
                     depthwise,
                     taps: Taps::new(window, input, runs.collect())?,
-                    band: Band::new(window, parts, input)?,
                     to,
                 }
             } else {
@@ -1294,32 +1287,44 @@ impl Run<'_> {
         row
     }
 
-    /// The rows of an inlined step that a row of output takes: makes those that the row before did not take.
-    fn band<'a>(
-        &self,
-        band: &'a Band,
-        step: &Step,
+    /// The input of a convolution's row of output. Of an inlined one it makes the rows that the row before did not take.
+    fn window<'a>(
+        &'a self,
+        step: &'a Step,
+        taps: &'a Taps,
         turn: Turn,
         free: &'a mut [u8],
-    ) -> Option<(&'a [u8], &'a [usize])> {
-        let buffer = step.writes.as_ref()?;
-        let (kept, below) = free.split_at_mut(band.bytes(buffer).next_multiple_of(64));
+        pixels: usize,
+    ) -> Row<'a> {
+        let (Some(inner), buffer) = (&step.inlined[0], &step.reads[0]) else {
+            return taps.row(self.read(step.reads[0].all()), turn.y, pixels);
+        };
+        let band = &taps.band;
+        let (kept, below) = free.split_at_mut(step.kept_bytes(inner));
         let topmost = turn.y * band.stride;
-        let known = band
-            .rows
-            .saturating_sub(if turn.first { band.rows } else { band.stride });
-        for number in known..band.rows {
+        let new = if turn.first {
+            band.rows
+        } else {
+            band.rows.min(band.stride)
+        };
+        for number in band.rows - new..band.rows {
             let at = (topmost + number) % band.rows * buffer.row_bytes();
             let whole = &mut kept[at..at + buffer.row_bytes()];
             match (topmost + number).checked_sub(band.above) {
                 Some(y) if y < buffer.height => {
                     let pixels = between_borders(buffer, whole);
-                    self.row(step, buffer, Turn { y, ..turn }, pixels, below);
+                    self.row(inner, buffer, Turn { y, ..turn }, pixels, below);
                 }
                 _ => whole.fill(buffer.zero),
             }
         }
-        Some((kept, &band.runs[topmost % band.rows]))
+        Row {
+            input: kept,
+            base: band.base,
+            runs: &band.runs[topmost % band.rows],
+            step: taps.steps[1],
+            pixels,
+        }
     }
 
     /// One row of bytes; `free` is memory for the rows of inlined steps.
@@ -1358,30 +1363,15 @@ impl Run<'_> {
                 }
             }
             Work::Dense { dense, taps, to } => {
-                let row = match step.inlined[0] {
-                    Some(_) => taps.row(input(0), 0, buffer.width),
-                    None => taps.row(self.read(step.reads[0].all()), y, buffer.width),
-                };
+                let row = self.window(step, taps, turn, free, buffer.width);
                 kernel.dense_bytes(dense, &row, to, out, buffer.pitch);
             }
             Work::Depthwise {
                 depthwise,
                 taps,
-                band,
                 to,
             } => {
-                let inner = step.inlined[0].as_ref();
-                let kept = inner.and_then(|inner| self.band(band, inner, turn, free));
-                let row = match kept {
-                    Some((input, runs)) => Row {
-                        input,
-                        base: band.base,
-                        runs,
-                        step: taps.steps[1],
-                        pixels: buffer.width,
-                    },
-                    None => taps.row(self.read(step.reads[0].all()), y, buffer.width),
-                };
+                let row = self.window(step, taps, turn, free, buffer.width);
                 kernel.depthwise(depthwise, &row, to, out);
             }
             Work::Add(addition) => {

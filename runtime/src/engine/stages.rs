@@ -48,19 +48,21 @@ pub(super) fn stages<'a>(
     }
     let mut inlined: HashMap<&str, Vec<&Layer>> = HashMap::new();
     let mut moved: Vec<&str> = Vec::new();
+    // Those that have rows made twice.
+    let mut repeating: Vec<&str> = Vec::new();
     for layer in layers {
         for input in &layer.inputs {
             let Some(&producer) = producers.get(input.name.as_str()) else {
                 continue;
             };
-            // A row that is made twice must not have others made twice before it.
-            let first = !inlined.contains_key(producer.output.as_str());
-            if reads_its_row_alone(layer, shapes)
-                || takes_depthwise_row(layer, producer)
-                || first && pays_twice(layer, producer, shapes, threads)
-            {
+            let repeats = repeating.contains(&producer.output.as_str());
+            let alone = reads_its_row_alone(layer, shapes) || takes_depthwise_row(layer, producer);
+            if alone || !repeats && pays_twice(layer, producer, shapes, threads) {
                 inlined.entry(&layer.output).or_default().push(producer);
                 moved.push(&producer.output);
+                if repeats || !alone {
+                    repeating.push(&layer.output);
+                }
             }
         }
     }
@@ -141,7 +143,8 @@ fn pays_twice(
     shapes: &HashMap<&str, Shape>,
     threads: usize,
 ) -> bool {
-    let (Some((depthwise, true)), Some((_, false))) = (convolution(layer), convolution(producer))
+    let (Some((Convolution { window, .. }, true)), Some((_, false))) =
+        (convolution(layer), convolution(producer))
     else {
         return false;
     };
@@ -151,7 +154,7 @@ fn pays_twice(
         strides,
         dilations,
         ..
-    } = &depthwise.window;
+    } = window;
     let twice = ((kernel[0] - 1) * dilations[0] + 1).saturating_sub(strides[0]);
     matches!(layer.form, Form::Bytes { .. })
         && shape.iter().product::<usize>() >= LARGE
