@@ -15,6 +15,7 @@ use super::layer::Quantization;
 use super::{Engine, Kernel, register, to_qdq};
 use crate::model::{Model, Network};
 
+mod blocks;
 mod layers;
 mod tools;
 
