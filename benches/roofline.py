@@ -30,7 +30,7 @@ SCENE = report.ROOT / "fixtures/scenes/street"
 SIZE = "1216x352"
 CACHES = pathlib.Path("/sys/devices/system/cpu/cpu0/cache")
 # What is drawn, in this order; all else has no multiply-adds.
-KINDS = ["dense 3x3", "1x1", "depthwise", "other convolutions"]
+KINDS = ["dense 3x3", "1x1", "blocks", "other convolutions"]
 
 
 def output(name, *arguments):
@@ -52,11 +52,13 @@ class Layer:
         return statistics.median(self.seconds)
 
     def kind(self):
-        # Of several layers that run as one, the one with weights.
-        found = re.search(r"depthwise|convolution (\S+)", self.operation)
+        # Of several layers that run as one, the one with weights; a depthwise one always runs with others.
+        found = re.search("depthwise", self.operation) or re.search(r"convolution (\S+)", self.operation)
         if not found:
             return self.operation
-        return {None: "depthwise", "3x3": "dense 3x3", "1x1": "1x1"}.get(found[1], "other convolutions")
+        if found[0] == "depthwise":
+            return "blocks"
+        return {"3x3": "dense 3x3", "1x1": "1x1"}.get(found[1], "other convolutions")
 
 
 def measure_layers(runs):

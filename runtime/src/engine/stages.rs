@@ -15,7 +15,7 @@ const REPEATED: usize = 16;
 /// Layers that run as one.
 #[derive(Debug)]
 pub(super) struct Stage<'a> {
-    /// Layers of which nobody but the main one reads anything: their rows are made when it needs them, in memory of the
+    /// Layers that only the main one or another of these reads: their rows are made when it needs them, in memory of the
     /// thread's own, which is still in its cache then.
     pub(super) inlined: Vec<&'a Layer>,
     /// The main layer; after it others that read the same, so that it is read once.
@@ -263,6 +263,50 @@ mod tests {
             ("sum", [16, 4, 4]),
         ];
         assert_eq!(outputs(&[up, sum], &one), [["up"], ["sum"]]);
+    }
+
+    /// Expansion and depthwise run with the projection where the tensor between them is large, and threads have rows enough
+    /// each; the depthwise layer alone where not. No row is made twice for the sake of one that is made twice itself.
+    #[test]
+    fn blocks_run_as_one_where_their_tensors_are_large() {
+        let window = |kernel: usize| Window {
+            kernel: [kernel; 2],
+            strides: [1; 2],
+            dilations: [1; 2],
+            padding: Padding::Explicit([kernel / 2; 4]),
+            ceil: false,
+        };
+        let convolution = |depthwise: bool, kernel: usize| {
+            Operation::Convolution(Convolution {
+                depthwise,
+                inputs: 1,
+                outputs: 1,
+                weights: Vec::new(),
+                scales: Vec::new(),
+                bias: Vec::new(),
+                window: window(kernel),
+            })
+        };
+        let layers = [
+            layer(convolution(false, 1), &["x"], "wide"),
+            layer(convolution(true, 3), &["wide"], "deep"),
+            layer(convolution(false, 1), &["deep"], "narrow"),
+            layer(convolution(true, 3), &["narrow"], "again"),
+        ];
+        let of = |shape: Shape, threads: usize| {
+            let shapes = ["x", "wide", "deep", "narrow", "again"].map(|name| (name, shape));
+            let shapes = shapes.into_iter().collect();
+            let names = |stage: &Stage<'_>| stage.layers().map(|l| l.output.clone()).collect();
+            let stages = stages(&layers, &shapes, threads);
+            stages.iter().map(names).collect::<Vec<Vec<String>>>()
+        };
+        let large = [LARGE / 4096, 64, 64];
+        let whole = [vec!["wide", "deep", "narrow"], vec!["again"]];
+        let halves = [vec!["wide"], vec!["deep", "narrow"], vec!["again"]];
+        assert_eq!(of(large, 1), whole);
+        assert_eq!(of(large, 3), whole);
+        assert_eq!(of(large, 4), halves);
+        assert_eq!(of([LARGE / 4096, 64, 63], 1), halves);
     }
 
     /// What is inlined reads what is there.
