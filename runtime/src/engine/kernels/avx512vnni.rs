@@ -505,9 +505,6 @@ impl Interleaved {
     }
 }
 
-/// Columns of input that a tile keeps in registers at most.
-const MOST_COLUMNS: usize = 7;
-
 /// A loop that the compiler cannot leave a loop: what it indexes are registers.
 macro_rules! unrolled {
     ($number:ident in $($value:literal)* $body:block) => {
@@ -636,6 +633,12 @@ impl Strip<'_> {
         let at = |row: usize, column: usize| unsafe {
             self.load::<SPLIT>(rows[row].add(column * pitch), PIXELS * STRIDE * pitch)
         };
+        // As far as the loops below are written out.
+        const {
+            assert!((PIXELS - 1) * STRIDE + SIDE <= 7 && PIXELS <= 4 - (SIDE > TALL) as usize);
+        }
+        // Column by column, each at once into the sums that it belongs to: where all unpacked columns wait in registers
+        // for their weights, the compiler has none left and moves them to memory and back.
         let zero = _mm512_setzero_si512();
         // SAFETY: a vector of starts and `quads` of weights for each register.
         let weight = |j: usize, quad: usize| unsafe {
@@ -666,23 +669,24 @@ impl Strip<'_> {
         if SIDE > TALL {
             // The fifth row, four columns to a lane, from each output pixel's first column on, and from the next one's.
             let last = (PIXELS - 1) * STRIDE + SIDE - 1;
-            let mut row = [zero; MOST_COLUMNS];
-            unrolled!(column in 0 1 2 3 4 5 6 {
-                if column <= last {
-                    row[column] = at(SIDE - 1, column);
+            let fifth = |column: usize| at(SIDE - 1, column.min(last));
+            unrolled!(start in 0 1 2 3 {
+                if start <= PIXELS {
+                    let first = start * STRIDE;
+                    let four = words(
+                        pair(fifth(first), fifth(first + 1)),
+                        pair(fifth(first + 2), fifth(first + 3)),
+                    );
+                    unrolled!(j in 0 1 2 3 {
+                        if start < PIXELS {
+                            sums[start][j] = _mm512_dpbusd_epi32(sums[start][j], four[j], weight(j, SIDE));
+                        }
+                        if let Some(before) = usize::checked_sub(start, 1) {
+                            sums[before][j] = _mm512_dpbusd_epi32(sums[before][j], four[j], weight(j, SIDE + STRIDE));
+                        }
+                    });
                 }
             });
-            let couple = |first: usize| pair(row[first.min(last)], row[(first + 1).min(last)]);
-            let mut four = words(couple(0), couple(2));
-            for (pixel, sums) in sums.iter_mut().enumerate() {
-                let first = (pixel + 1) * STRIDE;
-                let next = words(couple(first), couple(first + 2));
-                for j in 0..4 {
-                    let sum = _mm512_dpbusd_epi32(sums[j], four[j], weight(j, SIDE));
-                    sums[j] = _mm512_dpbusd_epi32(sum, next[j], weight(j, SIDE + STRIDE));
-                }
-                four = next;
-            }
         }
         unrolled!(j in 0 1 2 3 {
             // SAFETY: four vectors of factors for every 64 channels.
@@ -778,7 +782,7 @@ pub(super) unsafe fn depthwise(depthwise: &Depthwise, row: &Row<'_>, to: &ToByte
             match (rows, stride) {
                 (3, 1) => strip.row::<3, 1, 4>(),
                 (3, _) => strip.row::<3, 2, 2>(),
-                (_, 1) => strip.row::<5, 1, 2>(),
+                (_, 1) => strip.row::<5, 1, 3>(),
                 _ => strip.row::<5, 2, 2>(),
             }
         }
