@@ -320,7 +320,7 @@ impl Schedule {
         };
         let outputs: Vec<Shape> = island.outputs.iter().map(shape).collect::<Result<_, _>>()?;
         let order = stages(&island.layers, &shapes, threads);
-        let (buffers, arena) = place(&order, &shapes)?;
+        let (buffers, arena) = place(&order, &shapes, kernel)?;
         let (planes, floats) = place_floats(island, &order, &shapes)?;
         let steps = order
             .iter()
@@ -528,9 +528,9 @@ fn between_borders<'a>(buffer: &Buffer, whole: &'a mut [u8]) -> &'a mut [u8] {
     pixels
 }
 
-/// Bytes from pixel to pixel: four for what enters for dense convolutions alone. Whole cache lines where they cost little: a
-/// load that crosses from one to the next takes the time of two.
-fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>]) -> usize {
+/// Bytes from pixel to pixel: four for what enters for dense convolutions alone; no more than an eighth without meaning for
+/// the sake of whole lines.
+fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>], kernel: Kernel) -> usize {
     let reads = |reader: &&Layer| {
         let named = |input: &Operand| input.name == layer.output;
         reader.inputs.iter().any(named)
@@ -543,7 +543,8 @@ fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>]) -> usize {
     match layer.operation {
         Operation::Quantize if channels <= 4 && readers.all(takes_four) => 4,
         _ => {
-            let (vectors, lines) = (channels.next_multiple_of(16), channels.next_multiple_of(64));
+            let vectors = channels.next_multiple_of(16);
+            let lines = channels.next_multiple_of(kernel.line());
             if lines - vectors <= vectors / 8 {
                 lines
             } else {
@@ -557,6 +558,7 @@ fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>]) -> usize {
 fn place<'a>(
     order: &[Stage<'a>],
     shapes: &HashMap<&str, Shape>,
+    kernel: Kernel,
 ) -> Result<(HashMap<&'a str, Buffer>, usize), String> {
     let mut buffers: HashMap<&str, Buffer> = HashMap::new();
     let mut live: HashMap<&str, [usize; 2]> = HashMap::new();
@@ -568,7 +570,7 @@ fn place<'a>(
     {
         if let Form::Bytes { quantization, .. } = layer.form {
             let [channels, height, width] = shapes[layer.output.as_str()];
-            let pitch = pitch(layer, channels, order);
+            let pitch = pitch(layer, channels, order, kernel);
             let zero = quantization.zero;
             let buffer = Buffer {
                 offset: 0,

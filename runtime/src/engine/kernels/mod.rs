@@ -105,6 +105,14 @@ impl Kernel {
         }
     }
 
+    /// Bytes whose multiples its loads had better not cross: those of 64 bytes take twice as long where two cache lines share one.
+    pub(crate) fn line(self) -> usize {
+        match self {
+            Kernel::Avx512Vnni => 64,
+            _ => 16,
+        }
+    }
+
     /// How it wants the weights of dense convolutions.
     fn packing(self) -> Packing {
         let (bytes, group) = match self {
