@@ -13,17 +13,19 @@ COLOURS = ["#d1495b", "#3a7ca5", "#edae49", "#66a182", "#7b5ea7", "#888888"]
 
 
 def machine():
-    """The processor and its instructions for int8."""
-    name, flags = platform.processor(), ""
+    """The processor, by its family where its name does not tell, and its instructions for int8."""
+    name, family, flags = platform.processor(), "", ""
     for line in pathlib.Path("/proc/cpuinfo").read_text().splitlines():
         key, _, value = line.partition(":")
         if key.strip() == "model name":
             name = value.strip()
+        elif key.strip() == "cpu family":
+            family = f" (family {value.strip()})"
         elif key.strip() in ("flags", "Features"):
             flags = value.split()
     known = {"avx512_vnni": "AVX-512 VNNI", "avx_vnni": "AVX-VNNI", "avx2": "AVX2", "i8mm": "i8mm", "asimddp": "dot product"}
     best = next((title for flag, title in known.items() if flag in flags), None)
-    return f"{name} with {best}" if best else name
+    return f"{name}{family} with {best}" if best else name + family
 
 
 def locked(package, lock=ROOT / "Cargo.lock"):

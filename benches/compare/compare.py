@@ -324,7 +324,10 @@ def main():
     import unet
 
     rten_program = build_rten(arguments.environment)
-    shipped = {form: report.ROOT / f"fixtures/models/adaptive-{form}.onnx" for form in ["int8", "f32"]}
+    def files_of(name):
+        return {form: report.ROOT / f"fixtures/models/{name}-{form}.onnx" for form in ["int8", "f32"]}
+
+    shipped, large = files_of("adaptive"), files_of("large-adaptive")
     results = []
     with tempfile.TemporaryDirectory() as folder:
         folder = pathlib.Path(folder)
@@ -334,6 +337,7 @@ def main():
         for network, files, size in [
             ("shipped adaptive, 640x192", shipped, (640, 192)),
             ("shipped adaptive, 1216x352", shipped, (1216, 352)),
+            ("large adaptive, 1216x352", large, (1216, 352)),
             (f"U-Net of {multiply_adds / 1e9:.1f} GMAC, 1216x352",
              {form: folder / f"unet-{form}.onnx" for form in ["int8", "f32"]}, (1216, 352)),
         ]:
