@@ -548,7 +548,7 @@ mod tests {
             kernel: engine::Kernel::best(),
             threads: 1,
         };
-        for mode in ["baseline", "vanilla", "adaptive"] {
+        for mode in ["baseline", "vanilla", "adaptive", "large-adaptive"] {
             for (largest, _) in differences(&format!("{mode}-int8"), engine) {
                 assert!(largest < 1e-4, "{mode}: {largest}");
             }
@@ -557,7 +557,7 @@ mod tests {
 
     #[test]
     fn f32_networks_give_what_onnx_runtime_gives() {
-        for mode in ["baseline", "vanilla", "adaptive"] {
+        for mode in ["baseline", "vanilla", "adaptive", "large-adaptive"] {
             for (largest, _) in differences(&format!("{mode}-f32"), Engine::Tract) {
                 assert!(largest < 1e-3, "{mode}: {largest}");
             }
