@@ -21,6 +21,18 @@ pub(crate) fn widest<L: Loops>(work: L) -> L::Output {
         fn avx2<L: Loops>(work: L) -> L::Output {
             work.run()
         }
+        #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
+        fn avx512<L: Loops>(work: L) -> L::Output {
+            work.run()
+        }
+        if std::arch::is_x86_feature_detected!("avx512f")
+            && std::arch::is_x86_feature_detected!("avx512bw")
+            && std::arch::is_x86_feature_detected!("avx512dq")
+            && std::arch::is_x86_feature_detected!("avx512vl")
+        {
+            // SAFETY: the CPU has all of them.
+            return unsafe { avx512(work) };
+        }
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the only condition on calling `avx2` is that the CPU has it, which was just asked.
             return unsafe { avx2(work) };

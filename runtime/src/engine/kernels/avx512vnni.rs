@@ -15,6 +15,16 @@ const WIDE: usize = 64;
 const TALL: usize = 4;
 const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
 
+/// A loop that the compiler cannot leave a loop: what it indexes are registers.
+macro_rules! unrolled {
+    ($number:ident in $($value:literal)* $body:block) => {
+        $({
+            let $number = $value;
+            $body
+        })*
+    };
+}
+
 /// Zero point and bounds of the output in every lane.
 #[derive(Clone, Copy)]
 struct Limits {
@@ -222,6 +232,7 @@ impl Tile<'_> {
         let pixels = self.row.pixels;
         for (block, sums) in sums.iter().enumerate() {
             let lane = self.lane + block * BLOCK;
+            let outputs = self.dense.outputs.saturating_sub(lane).min(BLOCK);
             // SAFETY: there is a factor for every lane; each lane's pixels are in `out`.
             unsafe {
                 let factors = _mm512_loadu_ps(self.dense.factors.as_ptr().add(lane));
@@ -229,28 +240,46 @@ impl Tile<'_> {
                 let of = |pixel: usize| {
                     _mm512_mul_ps(_mm512_cvtepi32_ps(sums[pixel.min(PIXELS - 1)]), factors)
                 };
-                for first in (0..PIXELS).step_by(4) {
-                    // From sixteen lanes of four pixels to four pixels of sixteen lanes: 128-bit lane `l` of `four[k]`
-                    // is lane `4 l + k`.
+                // From sixteen lanes of four pixels to four pixels of sixteen lanes: 128-bit lane `l` of `four[k]` is lane
+                // `4 l + k`.
+                let four = |first: usize| {
                     let (a, b) = (of(first), of(first + 1));
                     let (c, d) = (of(first + 2), of(first + 3));
                     let (ab, ab2) = (_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
                     let (cd, cd2) = (_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
-                    let four = [
+                    [
                         _mm512_shuffle_ps::<0b01_00_01_00>(ab, cd),
                         _mm512_shuffle_ps::<0b11_10_11_10>(ab, cd),
                         _mm512_shuffle_ps::<0b01_00_01_00>(ab2, cd2),
                         _mm512_shuffle_ps::<0b11_10_11_10>(ab2, cd2),
+                    ]
+                };
+                // Fours of lanes `k`, `4 + k`, `8 + k`, `12 + k` of as many pixels as a register holds.
+                let fours = [four(0), four(4), four(8), four(12)];
+                unrolled!(k in 0 1 2 3 {
+                    let (a, b) = (fours[0][k], fours[1][k]);
+                    let (c, d) = (fours[2][k], fours[3][k]);
+                    let (ab, ab2) = (
+                        _mm512_shuffle_f32x4::<0b01_00_01_00>(a, b),
+                        _mm512_shuffle_f32x4::<0b11_10_11_10>(a, b),
+                    );
+                    let (cd, cd2) = (
+                        _mm512_shuffle_f32x4::<0b01_00_01_00>(c, d),
+                        _mm512_shuffle_f32x4::<0b11_10_11_10>(c, d),
+                    );
+                    let lanes = [
+                        _mm512_shuffle_f32x4::<0b10_00_10_00>(ab, cd),
+                        _mm512_shuffle_f32x4::<0b11_01_11_01>(ab, cd),
+                        _mm512_shuffle_f32x4::<0b10_00_10_00>(ab2, cd2),
+                        _mm512_shuffle_f32x4::<0b11_01_11_01>(ab2, cd2),
                     ];
-                    let mask = if PIXELS > 1 { 0b1111 } else { 1 };
-                    for (k, lanes) in four.into_iter().enumerate() {
-                        let at = |l: usize| out.add((4 * l + k) * pixels + first);
-                        _mm_mask_storeu_ps(at(0), mask, _mm512_castps512_ps128(lanes));
-                        _mm_mask_storeu_ps(at(1), mask, _mm512_extractf32x4_ps::<1>(lanes));
-                        _mm_mask_storeu_ps(at(2), mask, _mm512_extractf32x4_ps::<2>(lanes));
-                        _mm_mask_storeu_ps(at(3), mask, _mm512_extractf32x4_ps::<3>(lanes));
-                    }
-                }
+                    let mask = u16::MAX >> (16 - PIXELS);
+                    unrolled!(l in 0 1 2 3 {
+                        if 4 * l + k < outputs {
+                            _mm512_mask_storeu_ps(out.add((4 * l + k) * pixels), mask, lanes[l]);
+                        }
+                    });
+                });
             }
         }
     }
@@ -503,16 +532,6 @@ impl Interleaved {
         }
         packed
     }
-}
-
-/// A loop that the compiler cannot leave a loop: what it indexes are registers.
-macro_rules! unrolled {
-    ($number:ident in $($value:literal)* $body:block) => {
-        $({
-            let $number = $value;
-            $body
-        })*
-    };
 }
 
 /// Whether [`depthwise`] has a loop of its own for a kernel.
