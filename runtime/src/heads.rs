@@ -18,8 +18,10 @@ use crate::vectors::{Loops, widest};
 
 /// Most threads that fuse together.
 const MOST_THREADS: usize = 16;
-/// Of each of several threads: one as far from the top as the other from the bottom, since the sky takes less than the ground.
-const STRIPES: usize = 2;
+/// What a row of sky takes, and one with ground, without slopes and with them: one to the other.
+const SKY: usize = 6;
+const GROUND: usize = 7;
+const SLOPE: usize = 10;
 
 /// The outputs that fusion reads, in the order in which [`Heads::new`] does.
 pub(crate) fn outputs(contract: &Contract) -> Vec<&str> {
@@ -137,12 +139,28 @@ pub(crate) fn fuse(
         .as_ref()
         .map_or(1, Threads::count)
         .clamp(1, MOST_THREADS);
-    let count = (if threads == 1 { 1 } else { STRIPES * threads }) as u32;
-    scratch.resize_with(count as usize, Vec::new);
-    let mut stripes = [const { Mutex::new(None) }; STRIPES * MOST_THREADS];
-    for ((number, stripe), scratch) in (0..count).zip(&mut stripes).zip(scratch) {
+    scratch.resize_with(threads, Vec::new);
+    let mut stripes = [const { Mutex::new(None) }; MOST_THREADS];
+    // One stripe each, as long as takes the same time: most of its rows of the heads this thread made itself, and has in its cache.
+    let with_ground = match (heads.attention, heads.slope) {
+        (None, _) => SKY,
+        (_, None) => GROUND,
+        _ => SLOPE,
+    };
+    let work = |v: u32| match ground.row_bound(v) > 0.0 {
+        true => with_ground,
+        false => SKY,
+    };
+    let all: usize = (0..size.height()).map(work).sum();
+    let (mut done, mut end) = (0, 0);
+    for ((number, stripe), scratch) in (1..=threads).zip(&mut stripes).zip(scratch) {
         scratch.resize(heads.scratch_len(size), 0.0);
-        let rows = size.height() * number / count..size.height() * (number + 1) / count;
+        let first = end;
+        while end < size.height() && done * threads < all * number {
+            done += work(end);
+            end += 1;
+        }
+        let rows = first..end;
         let values = rows.len() * size.width() as usize;
         *stripe = Mutex::new(Some(Stripe {
             fusion: fusion.rows(rows),
@@ -158,16 +176,12 @@ pub(crate) fn fuse(
     }
     let failed = Mutex::new(None);
     let job = |thread: usize| {
-        for number in [Some(thread), (count as usize - 1).checked_sub(thread)] {
-            let stripe = number
-                .and_then(|number| stripes.get(number))
-                .and_then(|stripe| {
-                    let mut stripe = stripe.lock().unwrap_or_else(PoisonError::into_inner);
-                    stripe.take()
-                });
-            if let Some(Err(e)) = stripe.map(widest) {
-                *failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(e);
-            }
+        let stripe = stripes.get(thread).and_then(|stripe| {
+            let mut stripe = stripe.lock().unwrap_or_else(PoisonError::into_inner);
+            stripe.take()
+        });
+        if let Some(Err(e)) = stripe.map(widest) {
+            *failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(e);
         }
     };
     match team {

@@ -25,15 +25,12 @@ pub(crate) fn widest<L: Loops>(work: L) -> L::Output {
         fn avx512<L: Loops>(work: L) -> L::Output {
             work.run()
         }
-        if std::arch::is_x86_feature_detected!("avx512f")
-            && std::arch::is_x86_feature_detected!("avx512bw")
-            && std::arch::is_x86_feature_detected!("avx512dq")
-            && std::arch::is_x86_feature_detected!("avx512vl")
-        {
-            // SAFETY: the CPU has all of them.
+        use std::arch::is_x86_feature_detected as has;
+        if has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl") {
+            // SAFETY: the only condition on calling `avx512` is that the CPU has these, which was just asked.
             return unsafe { avx512(work) };
         }
-        if std::arch::is_x86_feature_detected!("avx2") {
+        if has!("avx2") {
             // SAFETY: the only condition on calling `avx2` is that the CPU has it, which was just asked.
             return unsafe { avx2(work) };
         }
