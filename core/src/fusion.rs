@@ -219,18 +219,34 @@ impl Fusion {
         scratch: &mut [f32],
         maps: FusedMaps<'_>,
     ) -> Result<(), Error> {
+        self.vanilla_or_adaptive(ground, residual, attention, Some(slope), scratch, maps)
+    }
+
+    /// Adaptive where there are slopes, else vanilla: for a program that does both, one copy of the loops.
+    ///
+    /// # Errors
+    /// As [`Self::adaptive`].
+    #[inline(always)]
+    pub fn vanilla_or_adaptive<G: GroundRows + ?Sized, const N: usize>(
+        &self,
+        ground: &G,
+        residual: &ResidualHead<'_>,
+        attention: &AttentionHead<'_>,
+        slope: Option<&SlopeHead<'_, N>>,
+        scratch: &mut [f32],
+        maps: FusedMaps<'_>,
+    ) -> Result<(), Error> {
         let output = ground.size();
         let mut scratch = Scratch::new(scratch);
-        let tangents = scratch.take(output.width() as usize)?;
-        let slope = SlopeTangent::new(slope, self.upsampling, output, &mut scratch)?;
-        self.fuse(
-            ground,
-            Some((slope, tangents)),
-            residual,
-            attention,
-            &mut scratch,
-            maps,
-        )
+        let slope = match slope {
+            Some(slope) => {
+                let tangents = scratch.take(output.width() as usize)?;
+                let slope = SlopeTangent::new(slope, self.upsampling, output, &mut scratch)?;
+                Some((slope, tangents))
+            }
+            None => None,
+        };
+        self.fuse(ground, slope, residual, attention, &mut scratch, maps)
     }
 
     /// Fuses row by row; `slope` comes with memory for a row of its tangents.
@@ -265,8 +281,14 @@ impl Fusion {
         let mut attention_map = maps.attention.map(|map| map.chunks_exact_mut(width));
         let mut ground_map = maps.ground.map(|map| map.chunks_exact_mut(width));
         for (v, depth_row) in rows.zip(maps.depth.chunks_exact_mut(width)) {
-            residual.row(v, depth_row)?;
-            attention.row(v, attention_row)?;
+            // A loop, so that there is one copy of what upsamples and decodes.
+            let planes = [
+                (&mut residual, &mut *depth_row),
+                (&mut attention, &mut *attention_row),
+            ];
+            for (plane, row) in planes {
+                plane.row(v, row)?;
+            }
             // Half of a picture lies above all ground, whatever its slope: no slopes, no divisions.
             let ground_ahead = ground.row_bound(v) >= nearly_ground;
             if ground_ahead {

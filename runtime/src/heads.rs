@@ -108,12 +108,16 @@ impl Loops for Stripe<'_> {
             attention,
             slope,
         } = &self.heads;
-        match (attention, slope) {
-            (None, _) => fusion.baseline(ground.size(), residual, scratch, maps.depth),
-            (Some(attention), None) => fusion.vanilla(ground, residual, attention, scratch, maps),
-            (Some(attention), Some(slope)) => {
-                fusion.adaptive(ground, residual, attention, slope, scratch, maps)
-            }
+        match attention {
+            None => fusion.baseline(ground.size(), residual, scratch, maps.depth),
+            Some(attention) => fusion.vanilla_or_adaptive(
+                ground,
+                residual,
+                attention,
+                slope.as_ref(),
+                scratch,
+                maps,
+            ),
         }
     }
 }
