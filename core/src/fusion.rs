@@ -293,24 +293,19 @@ impl Fusion {
             let ground_ahead = ground.row_bound(v) >= nearly_ground;
             if ground_ahead {
                 ground.write_row(v, ground_row)?;
+                let values = depth_row.iter_mut().zip(ground_row.iter_mut());
+                let values = values.zip(attention_row.iter());
                 if let Some((slope, tangents)) = &mut slope {
                     slope.row(v, tangents)?;
-                    for (inverse, tangent) in ground_row.iter_mut().zip(tangents.iter()) {
-                        *inverse -= tangent * per_height;
+                    for (((depth, ground), m), tangent) in values.zip(tangents.iter()) {
+                        *ground = self.ground_depth(*ground - tangent * per_height);
+                        *depth = self.blend(*depth, *m, *ground);
                     }
-                }
-                for ((depth, ground), m) in depth_row
-                    .iter_mut()
-                    .zip(ground_row.iter_mut())
-                    .zip(attention_row.iter())
-                {
-                    let z = if *ground >= self.ground_floor {
-                        1.0 / *ground
-                    } else {
-                        0.0
-                    };
-                    *ground = z;
-                    *depth = self.blend(*depth, *m, z);
+                } else {
+                    for ((depth, ground), m) in values {
+                        *ground = self.ground_depth(*ground);
+                        *depth = self.blend(*depth, *m, *ground);
+                    }
                 }
             } else {
                 for (depth, m) in depth_row.iter_mut().zip(attention_row.iter()) {
@@ -329,6 +324,16 @@ impl Fusion {
             }
         }
         Ok(())
+    }
+
+    /// `z_ground` for an inverse depth, 1/m; 0 where that is none.
+    #[inline(always)]
+    fn ground_depth(&self, inverse: f32) -> f32 {
+        if inverse >= self.ground_floor {
+            1.0 / inverse
+        } else {
+            0.0
+        }
     }
 
     /// `M z_ground + (1 - M) z_residual`, in range.

@@ -20,14 +20,11 @@ pub(crate) fn exp(x: f32) -> f32 {
     let n = shifted - ROUND;
     // ln 2 in two parts, the first short enough that its product with n is exact.
     let r = x - n * 0.693_359_4 + n * 2.121_944_4e-4;
-    // The series of e^r up to r^7; |r| <= 0.35 leaves 6e-9.
-    let p = 1.0 / 5040.0 * r + 1.0 / 720.0;
-    let p = p * r + 1.0 / 120.0;
-    let p = p * r + 1.0 / 24.0;
-    let p = p * r + 1.0 / 6.0;
-    let p = p * r + 0.5;
-    let p = p * r + 1.0;
-    let p = p * r + 1.0;
+    // 1 + r + r^2 q(r), q the cubic of least relative error for |r| <= 0.347: 1.1e-7. In pairs, which leaves half as many
+    // steps that wait for one another.
+    let s = r * r;
+    let q = (0.499_992_3 + 0.166_671_16 * r) + s * (0.041_890_55 + 0.008_312_48 * r);
+    let p = 1.0 + (r + s * q);
     let power = f32::from_bits((shifted.to_bits() << 23).wrapping_add(0x3f80_0000));
     p * power
 }

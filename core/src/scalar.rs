@@ -17,10 +17,6 @@ pub(crate) fn atan2(y: f64, x: f64) -> f64 {
     DVec2::new(x, y).to_angle()
 }
 
-pub(crate) fn floor(x: f64) -> f64 {
-    DVec2::splat(x).floor().x
-}
-
 pub(crate) fn sqrt(x: f64) -> f64 {
     DVec2::splat(x).sqrt().x
 }

@@ -62,6 +62,7 @@ impl GroundRows for OutputGround {
         }
     }
 
+    #[inline(always)]
     fn row_bound(&self, v: u32) -> f32 {
         match self {
             Self::Pinhole(coefficients) => coefficients.row_bound(v),

@@ -18,10 +18,10 @@ use crate::vectors::{Loops, widest};
 
 /// Most threads that fuse together.
 const MOST_THREADS: usize = 16;
-/// What a row of sky takes, and one with ground, without slopes and with them: one to the other.
+/// What a row of sky takes, and one where there may be ground, without slopes and with them: one to the other.
 const SKY: usize = 6;
-const GROUND: usize = 7;
-const SLOPE: usize = 10;
+const GROUND: usize = 8;
+const SLOPE: usize = 12;
 
 /// The outputs that fusion reads, in the order in which [`Heads::new`] does.
 pub(crate) fn outputs(contract: &Contract) -> Vec<&str> {
@@ -151,7 +151,11 @@ pub(crate) fn fuse(
         (_, None) => GROUND,
         _ => SLOPE,
     };
-    let work = |v: u32| match ground.row_bound(v) > 0.0 {
+    let steepest_climb = heads.slope.map_or(0.0, |slope| {
+        let angles = slope.classes.radians().iter();
+        angles.fold(0.0, |most: f32, angle| most.max(-angle.tan()))
+    });
+    let work = |v: u32| match ground.row_bound(v) * ground.camera_height() > -steepest_climb {
         true => with_ground,
         false => SKY,
     };

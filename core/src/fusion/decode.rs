@@ -24,30 +24,52 @@ enum Decoding {
 
 impl Decoding {
     #[inline(always)]
-    fn apply(self, row: &mut [f32]) {
+    fn in_place(self, row: &mut [f32]) {
         match self {
-            Self::Metres => {
-                for value in row {
-                    *value = clamp(*value, -RESIDUAL_MAX, RESIDUAL_MAX);
-                }
-            }
-            Self::LogMetres => {
-                for value in row {
-                    *value = clamp(exp(*value), 0.0, RESIDUAL_MAX);
-                }
-            }
-            Self::Logit => {
-                for value in row {
-                    *value = 1.0 / (1.0 + exp(-*value));
-                }
-            }
-            Self::Probability => {
-                for value in row {
-                    *value = clamp(*value, 0.0, 1.0);
-                }
-            }
+            Self::Metres => each(row, metres),
+            Self::LogMetres => each(row, log_metres),
+            Self::Logit => each(row, logit),
+            Self::Probability => each(row, probability),
         }
     }
+
+    /// Writes what a row of `map` says. Errs if it has a value that is NaN or infinite.
+    #[inline(always)]
+    fn row(self, map: &HeadMap<'_>, head: Head, y: u32, row: &mut [f32]) -> Result<(), Error> {
+        match self {
+            Self::Metres => map.decode_row((0, head), y, row, metres),
+            Self::LogMetres => map.decode_row((0, head), y, row, log_metres),
+            Self::Logit => map.decode_row((0, head), y, row, logit),
+            Self::Probability => map.decode_row((0, head), y, row, probability),
+        }
+    }
+}
+
+#[inline(always)]
+fn each(row: &mut [f32], decode: impl Fn(f32) -> f32) {
+    for value in row {
+        *value = decode(*value);
+    }
+}
+
+#[inline(always)]
+fn metres(value: f32) -> f32 {
+    clamp(value, -RESIDUAL_MAX, RESIDUAL_MAX)
+}
+
+#[inline(always)]
+fn log_metres(value: f32) -> f32 {
+    clamp(exp(value), 0.0, RESIDUAL_MAX)
+}
+
+#[inline(always)]
+fn logit(value: f32) -> f32 {
+    1.0 / (1.0 + exp(-value))
+}
+
+#[inline(always)]
+fn probability(value: f32) -> f32 {
+    clamp(value, 0.0, 1.0)
 }
 
 /// A head of one channel on its way to the output's size.
@@ -67,12 +89,10 @@ struct PlaneRows<'a> {
 impl SourceRows for PlaneRows<'_> {
     #[inline(always)]
     fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error> {
-        self.map.write_row(0, y, row);
-        check_finite(row, self.head)?;
-        if let Some(decoding) = self.decoding {
-            decoding.apply(row);
+        match self.decoding {
+            Some(decoding) => decoding.row(&self.map, self.head, y, row),
+            None => self.map.write_row((0, self.head), y, row),
         }
-        Ok(())
     }
 }
 
@@ -152,7 +172,7 @@ impl<'a, 's> Plane<'a, 's> {
     pub(super) fn row(&mut self, v: u32, out: &mut [f32]) -> Result<(), Error> {
         self.upsampler.row(v, out, &mut self.source)?;
         if let Some(decoding) = self.late {
-            decoding.apply(out);
+            decoding.in_place(out);
         }
         Ok(())
     }
@@ -319,8 +339,7 @@ impl SourceRows for LogitRows<'_> {
     fn write_row(&mut self, y: u32, rows: &mut [f32]) -> Result<(), Error> {
         let width = self.map.size().row();
         for (class, row) in rows.chunks_exact_mut(width).enumerate() {
-            self.map.write_row(class, y, row);
-            check_finite(row, Head::Slope)?;
+            self.map.write_row((class, Head::Slope), y, row)?;
         }
         Ok(())
     }

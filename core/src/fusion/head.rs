@@ -120,29 +120,62 @@ impl<'a> HeadMap<'a> {
         scratch
     }
 
-    /// Writes row `y` of a channel as numbers; `row` has the map's width.
+    /// Writes row `y` of a channel as numbers; `row` has the map's width. Errs if one is NaN or infinite.
     #[inline(always)]
-    pub(super) fn write_row(&self, channel: usize, y: u32, row: &mut [f32]) {
+    pub(super) fn write_row(
+        &self,
+        (channel, head): (usize, Head),
+        y: u32,
+        row: &mut [f32],
+    ) -> Result<(), Error> {
+        self.decode_row((channel, head), y, row, |value| value)
+    }
+
+    /// [`Self::write_row`] of what `decode` makes of each value.
+    #[inline(always)]
+    pub(super) fn decode_row(
+        &self,
+        (channel, head): (usize, Head),
+        y: u32,
+        row: &mut [f32],
+        decode: impl Fn(f32) -> f32,
+    ) -> Result<(), Error> {
+        let mut largest = 0;
         if let Samples::F32(_) = self.samples {
             for (out, value) in row.iter_mut().zip(self.row(channel, y, &mut [])) {
-                *out = *value;
+                largest = largest.max(magnitude(*value));
+                *out = decode(*value);
             }
         } else {
             self.row(channel, y, row);
+            for value in row {
+                largest = largest.max(magnitude(*value));
+                *value = decode(*value);
+            }
         }
+        finite(largest, head)
     }
 }
 
 /// Errs if a value of this head is NaN or infinite.
 #[inline(always)]
 pub(super) fn check_finite(row: &[f32], head: Head) -> Result<(), Error> {
-    // Exponents of all ones are NaN and infinity; integer ORs vectorize where float tests would not.
-    const EXPONENT: u32 = 0x7f80_0000;
-    let mut bad = 0;
+    let mut largest = 0;
     for value in row {
-        bad |= u32::from(value.to_bits() & EXPONENT == EXPONENT);
+        largest = largest.max(magnitude(*value));
     }
-    if bad == 0 {
+    finite(largest, head)
+}
+
+/// The bits of |value|: as integers they are in the order of the numbers, infinity and then NaN last. Their maximum
+/// vectorizes, where float tests would not.
+#[inline(always)]
+fn magnitude(value: f32) -> u32 {
+    value.to_bits() & 0x7fff_ffff
+}
+
+fn finite(largest: u32, head: Head) -> Result<(), Error> {
+    if largest < f32::INFINITY.to_bits() {
         Ok(())
     } else {
         Err(Error::HeadNotFinite(head))

@@ -7,7 +7,7 @@
 //! `depth = max(residual, 0) (1 - M) + M z + min`, clamped, and resized back with corners aligned.
 
 use super::decode::SlopeTangent;
-use super::head::{DecodeAt, HeadMap, SlopeHead, check_finite};
+use super::head::{DecodeAt, HeadMap, SlopeHead};
 use super::upsample::{self, SourceRows, Upsampler, Upsampling};
 use super::{DepthRange, Scratch, check_output};
 use crate::Error;
@@ -166,8 +166,8 @@ impl<G: GroundRows + ?Sized> SourceRows for GroundTimesAttention<'_, '_, G> {
     fn write_row(&mut self, y: u32, rows: &mut [f32]) -> Result<(), Error> {
         let (ground, attention) = rows.split_at_mut(rows.len() / 2);
         self.ground.write_row(y, ground)?;
-        self.attention.write_row(0, y, attention);
-        check_finite(attention, Head::Attention)?;
+        self.attention
+            .write_row((0, Head::Attention), y, attention)?;
         // h / z, of which the least is h / limit.
         let (h, limit) = (self.settings.slope_height, self.settings.ground_limit);
         for value in ground.iter_mut() {
@@ -200,8 +200,7 @@ impl<G: GroundRows + ?Sized> SourceRows for DecoderRows<'_, '_, G> {
     #[inline(always)]
     fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error> {
         self.resize.row(y, self.pair, &mut self.ground)?;
-        self.residual.write_row(0, y, row);
-        check_finite(row, Head::Residual)?;
+        self.residual.write_row((0, Head::Residual), y, row)?;
         let (ground, attention) = self.pair.split_at_checked(row.len()).unwrap_or_default();
         let DepthRange { min, max } = self.settings.depth;
         for ((depth, ground), m) in row.iter_mut().zip(ground).zip(attention) {

@@ -3,7 +3,6 @@
 use super::Scratch;
 use crate::Error;
 use crate::camera::ImageSize;
-use crate::scalar::floor;
 
 /// Where the samples of a resized map lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,6 +16,7 @@ pub enum Upsampling {
 
 impl Upsampling {
     /// The source samples before and after `target`, and the share of the latter.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn sample(self, target: u32, input: u32, output: u32) -> (u32, u32, f32) {
         let (i, n, m) = (f64::from(target), f64::from(input), f64::from(output));
         let source = match self {
@@ -24,11 +24,10 @@ impl Upsampling {
             Self::AlignCorners if output > 1 => i * (n - 1.0) / (m - 1.0),
             Self::AlignCorners => 0.0,
         };
-        // Beyond the last sample both are the last one.
-        let source = source.max(0.0);
-        let before = floor(source);
-        let after = (before as u32 + 1).min(input - 1);
-        (before as u32, after, (source - before) as f32)
+        // Beyond the last sample both are the last one. What is negative becomes 0, as in the conversion.
+        let before = source as u32;
+        let after = (before + 1).min(input - 1);
+        (before, after, (source.max(0.0) - f64::from(before)) as f32)
     }
 }
 

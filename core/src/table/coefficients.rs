@@ -110,6 +110,7 @@ impl GroundRows for GroundCoefficients {
     }
 
     /// The larger end of the row, and more than what rounding adds.
+    #[inline(always)]
     fn row_bound(&self, v: u32) -> f32 {
         let [left, right] =
             [0, self.size.width() - 1].map(|u| self.inverse_depth(f64::from(u), f64::from(v)));
