@@ -170,12 +170,12 @@ pub(super) fn check_finite(row: &[f32], head: Head) -> Result<(), Error> {
 /// The bits of |value|: as integers they are in the order of the numbers, infinity and then NaN last. Their maximum
 /// vectorizes, where float tests would not.
 #[inline(always)]
-fn magnitude(value: f32) -> u32 {
-    value.to_bits() & 0x7fff_ffff
+fn magnitude(value: f32) -> i32 {
+    (value.to_bits() & 0x7fff_ffff).cast_signed()
 }
 
-fn finite(largest: u32, head: Head) -> Result<(), Error> {
-    if largest < f32::INFINITY.to_bits() {
+fn finite(largest: i32, head: Head) -> Result<(), Error> {
+    if largest < magnitude(f32::INFINITY) {
         Ok(())
     } else {
         Err(Error::HeadNotFinite(head))
