@@ -34,7 +34,8 @@ impl Decoding {
     }
 
     /// Writes what a row of `map` says. Errs if it has a value that is NaN or infinite.
-    #[inline(always)]
+    // Firmware has no vectors to be compiled for, and less memory for copies.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn row(self, map: &HeadMap<'_>, head: Head, y: u32, row: &mut [f32]) -> Result<(), Error> {
         match self {
             Self::Metres => map.decode_row((0, head), y, row, metres),
