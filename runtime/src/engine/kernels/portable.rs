@@ -257,13 +257,25 @@ pub(crate) struct Halves<'a> {
 
 /// A row of a resize to nearest pixels of a multiple of 16 bytes.
 pub(crate) fn copy_row(input: &[u8], columns: &[Between], pitch: usize, out: &mut [u8]) {
-    for (column, out) in columns.iter().zip(out.chunks_exact_mut(pitch)) {
-        // Sixteen at a time: a length that the compiler knows is a load and a store instead of a call.
-        let (input, _) = input[column.first * pitch..][..pitch].as_chunks::<16>();
-        let (out, _) = out.as_chunks_mut::<16>();
-        for (out, input) in out.iter_mut().zip(input) {
-            *out = *input;
+    match pitch {
+        16 => copy_pixels::<16>(input, columns, out),
+        32 => copy_pixels::<32>(input, columns, out),
+        48 => copy_pixels::<48>(input, columns, out),
+        64 => copy_pixels::<64>(input, columns, out),
+        _ => {
+            for (column, out) in columns.iter().zip(out.chunks_exact_mut(pitch)) {
+                out.copy_from_slice(&input[column.first * pitch..][..pitch]);
+            }
         }
+    }
+}
+
+/// The same where the compiler knows the length: a few loads and stores for each pixel instead of a call.
+fn copy_pixels<const PITCH: usize>(input: &[u8], columns: &[Between], out: &mut [u8]) {
+    let (input, _) = input.as_chunks::<PITCH>();
+    let (out, _) = out.as_chunks_mut::<PITCH>();
+    for (column, out) in columns.iter().zip(out) {
+        *out = input[column.first];
     }
 }
 
