@@ -290,9 +290,16 @@ impl Fusion {
                 plane.row(v, row)?;
             }
             // Half of a picture lies above all ground, whatever its slope: no slopes, no divisions.
-            let ground_ahead = ground.row_bound(v) >= nearly_ground;
+            let bound = ground.row_bound(v);
+            let mut ground_ahead = bound >= nearly_ground;
             if ground_ahead {
                 ground.write_row(v, ground_row)?;
+                if bound == f32::INFINITY {
+                    // The source cannot say. Where there is ground, one of the first values mostly does.
+                    ground_ahead = ground_row.iter().any(|inverse| *inverse >= nearly_ground);
+                }
+            }
+            if ground_ahead {
                 let values = depth_row.iter_mut().zip(ground_row.iter_mut());
                 let values = values.zip(attention_row.iter());
                 if let Some((slope, tangents)) = &mut slope {

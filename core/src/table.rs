@@ -68,7 +68,7 @@ pub trait GroundRows {
     fn write_row(&self, v: u32, row: &mut [f32]) -> Result<(), Error>;
 
     /// No value of row `v` is larger than this, 1/m: what a source can say without looking at the row, infinity where
-    /// it cannot. Fusion spares itself rows that lie above all ground.
+    /// it cannot, and fusion looks. It spares itself rows that lie above all ground.
     fn row_bound(&self, v: u32) -> f32 {
         let _ = v;
         f32::INFINITY

@@ -627,6 +627,37 @@ fn ground_begins_where_the_steepest_climb_brings_it() {
     }
 }
 
+/// Whether the source knows a bound of the row or not, slopes above all ground are not looked at; beside ground they are.
+#[test]
+fn slopes_above_all_ground_are_not_looked_at() {
+    let size = row(2);
+    let mut slope = vec![0.0; 8 * 2];
+    slope[0] = f32::NAN;
+    let mut case = Case {
+        output: size,
+        head: size,
+        ground: vec![-0.5, -0.5],
+        residual: vec![30.0; 2],
+        attention: vec![0.5; 2],
+        slope,
+        upsampling: Upsampling::HalfPixel,
+        at: DecodeAt::HeadSize,
+        units: (ResidualUnit::Metres, AttentionUnit::Probability),
+    };
+    for (last, looked_at) in [(-0.5, false), (0.1, true)] {
+        case.ground[1] = last;
+        let unknown = GroundView::from_values(&case.ground, size, HEIGHT as f32).unwrap();
+        let known = Bounded(GroundView::from_values(&case.ground, size, HEIGHT as f32).unwrap());
+        for fused in [
+            fuse_on(&unknown, &case, Mode::Adaptive, floats(&case), 0..1),
+            fuse_on(&known, &case, Mode::Adaptive, floats(&case), 0..1),
+        ] {
+            let expected = looked_at.then_some(Error::HeadNotFinite(Head::Slope));
+            assert_eq!(fused.err(), expected, "ground {:?}", case.ground);
+        }
+    }
+}
+
 /// Classes that all fall away leave ground where the flattest of them does, to within rounding.
 #[test]
 fn ground_ends_where_the_flattest_fall_leaves_none() {

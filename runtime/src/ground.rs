@@ -13,6 +13,8 @@ pub(crate) enum OutputGround {
     /// Of any lens: made once, 1/m.
     Table {
         values: Vec<f32>,
+        /// The largest value of each row.
+        bounds: Vec<f32>,
         size: ImageSize,
         /// Of the camera over the ground, metres.
         height: f32,
@@ -27,7 +29,10 @@ impl OutputGround {
         let size = camera.size();
         let mut values = vec![0.0; GroundView::len(size)];
         let height = GroundView::build(&mut values, camera, ground)?.camera_height();
+        let rows = values.chunks_exact(size.width() as usize);
+        let bounds = rows.map(|row| row.iter().copied().fold(f32::MIN, f32::max));
         Ok(Self::Table {
+            bounds: bounds.collect(),
             values,
             size,
             height,
@@ -58,6 +63,7 @@ impl GroundRows for OutputGround {
                 values,
                 size,
                 height,
+                ..
             } => GroundView::from_values(values, *size, *height)?.write_row(v, row),
         }
     }
@@ -66,7 +72,7 @@ impl GroundRows for OutputGround {
     fn row_bound(&self, v: u32) -> f32 {
         match self {
             Self::Pinhole(coefficients) => coefficients.row_bound(v),
-            Self::Table { .. } => f32::INFINITY,
+            Self::Table { bounds, .. } => bounds.get(v as usize).copied().unwrap_or(f32::INFINITY),
         }
     }
 }
