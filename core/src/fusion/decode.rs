@@ -2,6 +2,7 @@
 
 use super::head::{
     AttentionHead, AttentionUnit, DecodeAt, HeadMap, ResidualHead, ResidualUnit, check_finite,
+    decode_row,
 };
 use super::upsample::{self, SourceRows, Upsampler, Upsampling};
 use super::{Scratch, SlopeHead};
@@ -33,15 +34,14 @@ impl Decoding {
         }
     }
 
-    /// Writes what a row of `map` says. Errs if it has a value that is NaN or infinite.
-    // Firmware has no vectors to be compiled for, and less memory for copies.
-    #[cfg_attr(not(target_os = "none"), inline(always))]
-    fn row(self, map: &HeadMap<'_>, head: Head, y: u32, row: &mut [f32]) -> Result<(), Error> {
+    /// Writes what the numbers of a head say. Errs if one is NaN or infinite.
+    #[inline(always)]
+    fn row(self, head: Head, numbers: &[f32], row: &mut [f32]) -> Result<(), Error> {
         match self {
-            Self::Metres => map.decode_row((0, head), y, row, metres),
-            Self::LogMetres => map.decode_row((0, head), y, row, log_metres),
-            Self::Logit => map.decode_row((0, head), y, row, logit),
-            Self::Probability => map.decode_row((0, head), y, row, probability),
+            Self::Metres => decode_row(head, numbers, row, metres),
+            Self::LogMetres => decode_row(head, numbers, row, log_metres),
+            Self::Logit => decode_row(head, numbers, row, logit),
+            Self::Probability => decode_row(head, numbers, row, probability),
         }
     }
 }
@@ -88,11 +88,18 @@ struct PlaneRows<'a> {
 }
 
 impl SourceRows for PlaneRows<'_> {
-    #[inline(always)]
+    // Firmware has no vectors to be compiled for, and less memory for copies.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error> {
-        match self.decoding {
-            Some(decoding) => decoding.row(&self.map, self.head, y, row),
-            None => self.map.write_row((0, self.head), y, row),
+        match (self.decoding, self.map.numbers(0, y)) {
+            (Some(decoding), Some(numbers)) => decoding.row(self.head, numbers, row),
+            (decoding, _) => {
+                self.map.write_row((0, self.head), y, row)?;
+                if let Some(decoding) = decoding {
+                    decoding.in_place(row);
+                }
+                Ok(())
+            }
         }
     }
 }

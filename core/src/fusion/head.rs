@@ -120,6 +120,15 @@ impl<'a> HeadMap<'a> {
         scratch
     }
 
+    /// Row `y` of a channel in place, if it is numbers already.
+    #[inline(always)]
+    pub(super) fn numbers(&self, channel: usize, y: u32) -> Option<&[f32]> {
+        match self.samples {
+            Samples::F32(_) => Some(self.row(channel, y, &mut [])),
+            Samples::U8 { .. } | Samples::I8 { .. } => None,
+        }
+    }
+
     /// Writes row `y` of a channel as numbers; `row` has the map's width. Errs if one is NaN or infinite.
     #[inline(always)]
     pub(super) fn write_row(
@@ -128,33 +137,27 @@ impl<'a> HeadMap<'a> {
         y: u32,
         row: &mut [f32],
     ) -> Result<(), Error> {
-        self.decode_row((channel, head), y, row, |value| value)
-    }
-
-    /// [`Self::write_row`] of what `decode` makes of each value.
-    #[inline(always)]
-    pub(super) fn decode_row(
-        &self,
-        (channel, head): (usize, Head),
-        y: u32,
-        row: &mut [f32],
-        decode: impl Fn(f32) -> f32,
-    ) -> Result<(), Error> {
-        let mut largest = 0;
-        if let Samples::F32(_) = self.samples {
-            for (out, value) in row.iter_mut().zip(self.row(channel, y, &mut [])) {
-                largest = largest.max(magnitude(*value));
-                *out = decode(*value);
-            }
-        } else {
-            self.row(channel, y, row);
-            for value in row {
-                largest = largest.max(magnitude(*value));
-                *value = decode(*value);
-            }
+        match self.numbers(channel, y) {
+            Some(numbers) => decode_row(head, numbers, row, |number| number),
+            None => check_finite(self.row(channel, y, row), head),
         }
-        finite(largest, head)
     }
+}
+
+/// Writes what `decode` makes of each number to `row`. Errs if one is NaN or infinite.
+#[inline(always)]
+pub(super) fn decode_row(
+    head: Head,
+    numbers: &[f32],
+    row: &mut [f32],
+    decode: impl Fn(f32) -> f32,
+) -> Result<(), Error> {
+    let mut largest = 0;
+    for (out, number) in row.iter_mut().zip(numbers) {
+        largest = largest.max(magnitude(*number));
+        *out = decode(*number);
+    }
+    finite(largest, head)
 }
 
 /// Errs if a value of this head is NaN or infinite.
