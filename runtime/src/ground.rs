@@ -111,6 +111,10 @@ mod tests {
         assert!(matches!(kept, OutputGround::Table { .. }));
         GroundView::build(&mut table, &lens, &ground).expect("a table");
         assert_eq!(rows(&kept), table);
+        for (v, row) in (0..).zip(table.chunks_exact(640)) {
+            let largest = row.iter().copied().fold(f32::MIN, f32::max);
+            assert_eq!(kept.row_bound(v), largest, "row {v}");
+        }
 
         let made = OutputGround::new(&pinhole, &ground).expect("a ground");
         assert!(matches!(made, OutputGround::Pinhole(_)));

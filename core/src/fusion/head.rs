@@ -144,7 +144,8 @@ impl<'a> HeadMap<'a> {
     }
 }
 
-/// Writes what `decode` makes of each number to `row`. Errs if one is NaN or infinite.
+/// Writes what `decode`, a function that is itself `#[inline(always)]`, makes of each number to `row`. Errs if one is NaN or
+/// infinite.
 #[inline(always)]
 pub(super) fn decode_row(
     head: Head,

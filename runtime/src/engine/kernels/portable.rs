@@ -335,3 +335,27 @@ pub(crate) fn average_row<'a>(
         *out = saturate(sum as f32 * factor, to.zero, &to.range);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Between, copy_row};
+
+    /// Pixels of lengths that have code of their own, and of one that has not.
+    #[test]
+    fn resize_to_nearest_copies_whole_pixels() {
+        for pitch in [16, 32, 48, 64, 80] {
+            let input: Vec<u8> = (0..3 * pitch).map(|at| at as u8).collect();
+            let columns = [2, 0, 0, 1].map(|first| Between {
+                first,
+                second: first,
+                weight: 0.0,
+            });
+            let mut out = vec![0; columns.len() * pitch];
+            copy_row(&input, &columns, pitch, &mut out);
+            let expected = columns
+                .iter()
+                .flat_map(|c| &input[c.first * pitch..][..pitch]);
+            assert!(out.iter().eq(expected), "{pitch} bytes a pixel");
+        }
+    }
+}
