@@ -24,19 +24,36 @@ const WIDTH: u32 = 1216;
 const HEIGHT: u32 = 352;
 const CLASSES: usize = 11;
 
-const CASES: [(&str, fn()); 13] = [
+const CASES: [(&str, fn()); 14] = [
     ("table_pinhole", || table(&pinhole())),
     ("table_pinhole_u16", fixed_point),
     ("table_kannala_brandt", || table(&kannala_brandt())),
     ("table_brown_conrady", || table(&brown_conrady())),
     ("table_rebuild", rebuild),
     // As callers get it that are compiled for any x86-64, and as the runtime does, for AVX2.
-    ("fusion_baseline_sse2", || fusion(Mode::Baseline, fuse)),
-    ("fusion_vanilla_sse2", || fusion(Mode::Vanilla, fuse)),
-    ("fusion_adaptive_sse2", || fusion(Mode::Adaptive, fuse)),
-    ("fusion_baseline", || fusion(Mode::Baseline, fuse_avx2)),
-    ("fusion_vanilla", || fusion(Mode::Vanilla, fuse_avx2)),
-    ("fusion_adaptive", || fusion(Mode::Adaptive, fuse_avx2)),
+    ("fusion_baseline_sse2", || {
+        fusion(Mode::Baseline, fuse, size())
+    }),
+    ("fusion_vanilla_sse2", || {
+        fusion(Mode::Vanilla, fuse, size())
+    }),
+    ("fusion_adaptive_sse2", || {
+        fusion(Mode::Adaptive, fuse, size())
+    }),
+    ("fusion_baseline", || {
+        fusion(Mode::Baseline, fuse_avx2, size())
+    }),
+    ("fusion_vanilla", || {
+        fusion(Mode::Vanilla, fuse_avx2, size())
+    }),
+    ("fusion_adaptive", || {
+        fusion(Mode::Adaptive, fuse_avx2, size())
+    }),
+    ("fusion_adaptive_resized", || {
+        // To a picture whose size is no multiple of the heads'.
+        let picture = ImageSize::new(1242, 375).expect("a valid size");
+        fusion(Mode::Adaptive, fuse_avx2, picture)
+    }),
     // Picture to depth: resampling, the network, and fusion at the network's size.
     ("picture_avx2", || network(Kernel::Avx2, (320, 96))),
     ("picture_portable", || network(Kernel::Portable, (160, 64))),
@@ -75,7 +92,11 @@ fn ground() -> Ground {
 }
 
 fn intrinsics() -> Intrinsics {
-    Intrinsics::new(size(), 721.5, 721.5, 596.6, 149.9).expect("valid intrinsics")
+    intrinsics_of(size())
+}
+
+fn intrinsics_of(size: ImageSize) -> Intrinsics {
+    Intrinsics::new(size, 721.5, 721.5, 596.6, 149.9).expect("valid intrinsics")
 }
 
 fn pinhole() -> Pinhole {
@@ -150,8 +171,8 @@ struct Maps<'a> {
     depth: Vec<f32>,
 }
 
-/// Residual and attention at half the output's size, the slope at an eighth: as the shipped networks have them.
-fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode)) {
+/// Residual and attention at half the network's size, the slope at an eighth: as the shipped networks have them.
+fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode), output: ImageSize) {
     let degrees = Angle::from_degrees;
     let classes = SlopeClasses::uniform(
         degrees(-5.0),
@@ -176,7 +197,7 @@ fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode)) {
             200.0,
         )
         .expect("a valid limit"),
-        ground: GroundCoefficients::new(&intrinsics(), &ground()),
+        ground: GroundCoefficients::new(&intrinsics_of(output), &ground()),
         residual: ResidualHead {
             map: map(&residual, 1, half),
             unit: ResidualUnit::LogMetres,
@@ -192,8 +213,8 @@ fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode)) {
             classes: &classes,
             decode_at,
         },
-        scratch: vec![0.0; scratch_len(size(), WIDTH, CLASSES)],
-        depth: vec![0.0; size().pixels()],
+        scratch: vec![0.0; scratch_len(output, WIDTH, CLASSES)],
+        depth: vec![0.0; output.pixels()],
     };
     counted(&mut || fuse(black_box(&mut maps), mode));
     black_box(maps.depth);

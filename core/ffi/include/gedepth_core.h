@@ -565,9 +565,9 @@ size_t gedepth_core_rays_len(uint32_t width, uint32_t height);
 #define GEDEPTH_CORE_ROWS_LEN(width, height) ((size_t)(height))
 #define GEDEPTH_CORE_RAYS_LEN(width, height) (2 * (size_t)(width) * (size_t)(height))
 #define GEDEPTH_CORE_SCRATCH_LEN(width, height, head_width, slope_classes)                          \
-  (7 * (size_t)(width) + 6 * (size_t)(head_width) +                                                 \
+  (5 * (size_t)(width) + 8 * (size_t)(head_width) +                                                 \
    ((slope_classes) > 0                                                                             \
-        ? (2 * (size_t)(slope_classes) + 1) * (size_t)(head_width) + 2 * (size_t)(width) +          \
+        ? (2 * (size_t)(slope_classes) + 2) * (size_t)(head_width) + (size_t)(width) +              \
               ((size_t)(slope_classes) + 2) *                                                       \
                   ((size_t)(width) > (size_t)(head_width) ? (size_t)(width) : (size_t)(head_width)) \
         : 0))

@@ -31,14 +31,14 @@ impl Upsampling {
     }
 }
 
-/// Scratch that an upsampler of so many channels takes: two source rows of each, the mixture of two, and two numbers for
-/// each output column.
+/// Scratch that an upsampler of so many channels takes: two source rows of each, the mixture of two, and a number for each
+/// column of source and output.
 pub(super) const fn scratch_len(channels: usize, input_width: usize, output_width: usize) -> usize {
     channels
         .saturating_mul(2)
-        .saturating_add(1)
+        .saturating_add(2)
         .saturating_mul(input_width)
-        .saturating_add(2 * output_width)
+        .saturating_add(output_width)
 }
 
 /// What is upsampled. A trait and not a closure: closures cannot be `#[inline(always)]`, and what is not inlined does not
@@ -58,9 +58,10 @@ enum Columns<'s> {
     FourTimes,
     /// Half-pixel, eight times.
     EightTimes,
-    /// Any way: the bits of the source column before, and the share of the one after.
+    /// Any way: of each source column the number of output columns between it and the next, as bits; of each output column the
+    /// share of the source column after it.
     Any {
-        before: &'s mut [f32],
+        run: &'s mut [f32],
         share: &'s mut [f32],
     },
 }
@@ -96,14 +97,9 @@ impl<'s> Upsampler<'s> {
         } else if upsampling == Upsampling::HalfPixel && to == 8 * from {
             Columns::EightTimes
         } else {
-            let before = scratch.take(to as usize)?;
+            let run = scratch.take(from as usize)?;
             let share = scratch.take(to as usize)?;
-            for ((u, before), share) in (0..).zip(before.iter_mut()).zip(share.iter_mut()) {
-                let (column, _, weight) = upsampling.sample(u, from, to);
-                *before = f32::from_bits(column);
-                *share = weight;
-            }
-            Columns::Any { before, share }
+            Columns::any(upsampling, run, share)
         };
         let width = from as usize;
         let row = width.saturating_mul(channels);
@@ -167,7 +163,21 @@ impl<'s> Upsampler<'s> {
     }
 }
 
-impl Columns<'_> {
+impl<'s> Columns<'s> {
+    /// From as many columns as `run` has to as many as `share` has.
+    fn any(upsampling: Upsampling, run: &'s mut [f32], share: &'s mut [f32]) -> Self {
+        let (from, to) = (run.len() as u32, share.len() as u32);
+        run.fill(f32::from_bits(0));
+        for (u, share) in (0_u32..).zip(share.iter_mut()) {
+            let (before, _, weight) = upsampling.sample(u, from, to);
+            *share = weight;
+            if let Some(run) = run.get_mut(before as usize) {
+                *run = f32::from_bits(run.to_bits() + 1);
+            }
+        }
+        Self::Any { run, share }
+    }
+
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn widen(&self, row: &[f32], out: &mut [f32]) {
         match self {
@@ -185,16 +195,43 @@ impl Columns<'_> {
                     0.0625, 0.1875, 0.3125, 0.4375, 0.5625, 0.6875, 0.8125, 0.9375,
                 ],
             ),
-            Self::Any { before, share } => {
-                for ((out, before), share) in out.iter_mut().zip(before.iter()).zip(share.iter()) {
-                    let column = before.to_bits() as usize;
-                    // Beyond the last column both are the last one.
-                    let a = row.get(column).copied().unwrap_or(0.0);
-                    let b = row.get(column + 1).copied().unwrap_or(a);
-                    *out = lerp(a, b, *share);
+            Self::Any { run, share } => stretch(row, out, run, share),
+        }
+    }
+}
+
+/// Between each source column and the next as many columns as `run` says (as bits), at `shares` of the way. Whole registers are
+/// written, and what is too much of one is overwritten by the next: to look up two source columns for each column of output would
+/// be a gather.
+#[inline(always)]
+fn stretch(row: &[f32], out: &mut [f32], run: &[f32], shares: &[f32]) {
+    const LANES: usize = 8;
+    // Of one length, so that one comparison finds a place inside of both.
+    let Some(shares) = shares.get(..out.len()) else {
+        return;
+    };
+    let mut at = 0;
+    for (pair, run) in row.windows(2).zip(run) {
+        let [before, after] = *pair else { return };
+        let end = at + run.to_bits() as usize;
+        while at < end {
+            let next = at..at + LANES;
+            if let (Some(out), Some(shares)) = (out.get_mut(next.clone()), shares.get(next)) {
+                let (out, shares) = (out.first_chunk_mut(), shares.first_chunk::<LANES>());
+                if let (Some(out), Some(shares)) = (out, shares) {
+                    *out = shares.map(|share| lerp(before, after, share));
+                }
+            } else if let (Some(out), Some(shares)) = (out.get_mut(at..), shares.get(at..)) {
+                for (out, share) in out.iter_mut().zip(shares) {
+                    *out = lerp(before, after, *share);
                 }
             }
+            at = end.min(at + LANES);
         }
+    }
+    // Beyond the last column both are the last one.
+    if let (Some(last), Some(out)) = (row.last(), out.get_mut(at..)) {
+        out.fill(*last);
     }
 }
 
@@ -231,7 +268,7 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    use super::{Columns, Upsampling};
+    use super::{Columns, Upsampling, lerp};
 
     /// The fast ways for two, four and eight times give the very bytes of the general one.
     #[test]
@@ -244,20 +281,47 @@ mod tests {
             for width in [1_u32, 2, 3, 4, 7, 64] {
                 let row: Vec<f32> = (0..width).map(|i| (i as f32 * 1.7).sin() * 10.0).collect();
                 let length = (width * factor) as usize;
-                let (mut before, mut share) = (vec![0.0; length], vec![0.0; length]);
-                for (u, (before, share)) in before.iter_mut().zip(&mut share).enumerate() {
-                    let (column, _, weight) =
-                        Upsampling::HalfPixel.sample(u as u32, width, width * factor);
-                    (*before, *share) = (f32::from_bits(column), weight);
-                }
-                let general = Columns::Any {
-                    before: &mut before,
-                    share: &mut share,
-                };
+                let (mut run, mut share) = (vec![0.0; width as usize], vec![0.0; length]);
+                let general = Columns::any(Upsampling::HalfPixel, &mut run, &mut share);
                 let (mut fast, mut slow) = (vec![0.0; length], vec![1.0; length]);
                 columns.widen(&row, &mut fast);
                 general.widen(&row, &mut slow);
                 assert_eq!(fast, slow, "{width} columns, {factor} times");
+            }
+        }
+    }
+
+    /// Each output column is the mixture of the two source columns that `sample` says, whichever way and however far.
+    #[test]
+    fn general_columns_are_those_sampled() {
+        for upsampling in [Upsampling::HalfPixel, Upsampling::AlignCorners] {
+            for (from, to) in [
+                (1, 1),
+                (1, 9),
+                (2, 3),
+                (3, 2),
+                (5, 5),
+                (7, 100),
+                (320, 1242),
+                (80, 1242),
+                (100, 7),
+                (9, 1),
+                (13, 29),
+                (20, 33),
+            ] {
+                let row: Vec<f32> = (0..from).map(|i| (i as f32 * 1.7).sin() * 10.0).collect();
+                let (mut run, mut share) = (vec![0.0; row.len()], vec![0.0; to as usize]);
+                let general = Columns::any(upsampling, &mut run, &mut share);
+                let mut out = vec![f32::NAN; to as usize];
+                general.widen(&row, &mut out);
+                for (u, out) in (0..to).zip(&out) {
+                    let (before, after, share) = upsampling.sample(u, from, to);
+                    let expected = lerp(row[before as usize], row[after as usize], share);
+                    assert_eq!(
+                        *out, expected,
+                        "{upsampling:?}, column {u} of {from} to {to}"
+                    );
+                }
             }
         }
     }
