@@ -161,6 +161,14 @@ impl Fusion {
         (first..end, rows * output.row())
     }
 
+    /// The least inverse depth of the plane, 1/m, that a slope may make ground of, for a camera so many metres over it and slopes whose
+    /// steepest climb has this tangent ([`SlopeClasses::steepest_climb`](crate::slope::SlopeClasses::steepest_climb); 0 for
+    /// vanilla). A row whose [`GroundRows::row_bound`] is less has no ground and takes a fraction of the time of others, which whoever
+    /// shares [`Self::rows`] out wants to know.
+    pub fn least_ground(&self, camera_height: f32, steepest_climb: f32) -> f32 {
+        self.ground_floor * (1.0 - SLACK) - steepest_climb / camera_height * (1.0 + SLACK)
+    }
+
     /// Baseline: the residual is the depth. `depth` has the output's pixels, or those of [`Self::rows`].
     ///
     /// # Errors
@@ -201,7 +209,15 @@ impl Fusion {
         maps: FusedMaps<'_>,
     ) -> Result<(), Error> {
         let mut scratch = Scratch::new(scratch);
-        self.fuse(ground, None, residual, attention, &mut scratch, maps)
+        let least = self.least_ground(ground.camera_height(), 0.0);
+        self.fuse(
+            ground,
+            (None, least),
+            residual,
+            attention,
+            &mut scratch,
+            maps,
+        )
     }
 
     /// Adaptive: ground depth from the plane and the expected slope,
@@ -238,6 +254,8 @@ impl Fusion {
     ) -> Result<(), Error> {
         let output = ground.size();
         let mut scratch = Scratch::new(scratch);
+        let climb = slope.map_or(0.0, |slope| slope.classes.steepest_climb());
+        let least = self.least_ground(ground.camera_height(), climb);
         let slope = match slope {
             Some(slope) => {
                 let tangents = scratch.take(output.width() as usize)?;
@@ -246,16 +264,23 @@ impl Fusion {
             }
             None => None,
         };
-        self.fuse(ground, slope, residual, attention, &mut scratch, maps)
+        self.fuse(
+            ground,
+            (slope, least),
+            residual,
+            attention,
+            &mut scratch,
+            maps,
+        )
     }
 
-    /// Fuses row by row; `slope` comes with memory for a row of its tangents.
+    /// Fuses row by row; `slope` comes with memory for a row of its tangents. Rows that stay below [`Self::least_ground`] have none.
     // Firmware has no vectors to be compiled for, and less memory for copies.
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn fuse<'s, G: GroundRows + ?Sized>(
         &self,
         ground: &G,
-        mut slope: Option<(SlopeTangent<'_, 's>, &'s mut [f32])>,
+        (mut slope, least): (Option<(SlopeTangent<'_, 's>, &'s mut [f32])>, f32),
         residual: &ResidualHead<'_>,
         attention: &AttentionHead<'_>,
         scratch: &mut Scratch<'s>,
@@ -271,11 +296,6 @@ impl Fusion {
         let mut residual = Plane::residual(residual, self.upsampling, output, scratch)?;
         let mut attention = Plane::attention(attention, self.upsampling, output, scratch)?;
         let per_height = 1.0 / ground.camera_height();
-        // Where no inverse plane depth of a row reaches this, no slope makes ground of it. Classes that only fall leave less.
-        let climb = slope
-            .as_ref()
-            .map_or(0.0, |(slope, _)| slope.steepest_climb().max(0.0));
-        let nearly_ground = self.ground_floor * (1.0 - SLACK) - climb * per_height * (1.0 + SLACK);
         let ground_row = scratch.take(width)?;
         let attention_row = scratch.take(width)?;
         let mut attention_map = maps.attention.map(|map| map.chunks_exact_mut(width));
@@ -291,12 +311,12 @@ impl Fusion {
             }
             // Half of a picture lies above all ground, whatever its slope: no slopes, no divisions.
             let bound = ground.row_bound(v);
-            let mut ground_ahead = bound >= nearly_ground;
+            let mut ground_ahead = bound >= least;
             if ground_ahead {
                 ground.write_row(v, ground_row)?;
                 if bound == f32::INFINITY {
                     // The source cannot say. Where there is ground, one of the first values mostly does.
-                    ground_ahead = ground_row.iter().any(|inverse| *inverse >= nearly_ground);
+                    ground_ahead = ground_row.iter().any(|inverse| *inverse >= least);
                 }
             }
             if ground_ahead {

@@ -97,6 +97,12 @@ impl<const N: usize> SlopeClasses<N> {
         &self.angles
     }
 
+    /// The tangent of the steepest climb that any class has; 0 if none climbs.
+    pub fn steepest_climb(&self) -> f32 {
+        let lowest = self.angles.iter().copied().fold(0.0, f32::min);
+        -tan(f64::from(lowest)) as f32
+    }
+
     /// The expected slope, radians, positive downhill: `sum_i p_i tau_i` with `p = softmax(logits)` (Eq. 8).
     ///
     /// Stable for all finite logits; equal logits give the mean angle.

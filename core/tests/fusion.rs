@@ -599,8 +599,16 @@ fn slope_signs_reach_the_depth() {
 fn ground_begins_where_the_steepest_climb_brings_it() {
     let size = row(3);
     let climb = 8_f64.to_radians().tan() / HEIGHT;
+    let least =
+        fusion(Upsampling::HalfPixel).least_ground(HEIGHT as f32, classes().steepest_climb());
     for (slack, any) in [(1e-3, true), (-1e-3, false)] {
         let inverse = 1.0 / LIMIT * (1.0 + slack) - climb;
+        if any {
+            assert!(
+                inverse >= f64::from(least),
+                "what may be ground is not below {least}"
+            );
+        }
         let mut slope = vec![-40.0; 8 * 3];
         slope[3 * 7..].fill(40.0); // the last class: 8 degrees uphill
         let case = Case {
@@ -633,6 +641,8 @@ fn slopes_above_all_ground_are_not_looked_at() {
     let size = row(2);
     let mut slope = vec![0.0; 8 * 2];
     slope[0] = f32::NAN;
+    let least =
+        fusion(Upsampling::HalfPixel).least_ground(HEIGHT as f32, classes().steepest_climb());
     let mut case = Case {
         output: size,
         head: size,
@@ -644,7 +654,12 @@ fn slopes_above_all_ground_are_not_looked_at() {
         at: DecodeAt::HeadSize,
         units: (ResidualUnit::Metres, AttentionUnit::Probability),
     };
-    for (last, looked_at) in [(-0.5, false), (0.1, true)] {
+    for (last, looked_at) in [
+        (-0.5, false),
+        (least - 1e-5, false),
+        (least, true),
+        (0.1, true),
+    ] {
         case.ground[1] = last;
         let unknown = GroundView::from_values(&case.ground, size, HEIGHT as f32).unwrap();
         let known = Bounded(GroundView::from_values(&case.ground, size, HEIGHT as f32).unwrap());

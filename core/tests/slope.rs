@@ -35,6 +35,25 @@ fn classes_and_signs() {
     assert_eq!(one.unwrap().radians(), [0.0]);
 }
 
+/// What the steepest class climbs, whatever its place and the network's sign; nothing where all fall away.
+#[test]
+fn steepest_climb() {
+    use SlopeSign::{DownhillPositive, UphillPositive};
+    for (degrees, sign, climb) in [
+        ([-3.0, 0.0, 7.0], DownhillPositive, 3_f64),
+        ([-3.0, 0.0, 7.0], UphillPositive, 7.0),
+        ([1.0, 2.0, 7.0], DownhillPositive, 0.0),
+        ([1.0, 2.0, 7.0], UphillPositive, 7.0),
+    ] {
+        let classes = SlopeClasses::<3>::new(&degrees.map(Angle::from_degrees), sign).unwrap();
+        let expected = climb.to_radians().tan() as f32;
+        assert!(
+            (classes.steepest_climb() - expected).abs() < 1e-6,
+            "{degrees:?}, {sign:?}"
+        );
+    }
+}
+
 #[test]
 fn classes_that_are_refused() {
     let make = |degrees: &[f64]| {

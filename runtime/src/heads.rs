@@ -151,11 +151,11 @@ pub(crate) fn fuse(
         (_, None) => GROUND,
         _ => SLOPE,
     };
-    let steepest_climb = heads.slope.map_or(0.0, |slope| {
-        let angles = slope.classes.radians().iter();
-        angles.fold(0.0, |most: f32, angle| most.max(-angle.tan()))
-    });
-    let work = |v: u32| match ground.row_bound(v) * ground.camera_height() > -steepest_climb {
+    let climb = heads
+        .slope
+        .map_or(0.0, |slope| slope.classes.steepest_climb());
+    let least = fusion.least_ground(ground.camera_height(), climb);
+    let work = |v: u32| match ground.row_bound(v) >= least {
         true => with_ground,
         false => SKY,
     };

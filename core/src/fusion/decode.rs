@@ -283,17 +283,6 @@ impl<'a, 's> SlopeTangent<'a, 's> {
         })
     }
 
-    /// The tangent of the steepest climb that any class has.
-    pub(super) fn steepest_climb(&self) -> f32 {
-        let (Self::HeadSize {
-            source: TangentRows { softmax, .. },
-            ..
-        }
-        | Self::OutputSize { softmax, .. }) = self;
-        let angles = softmax.angles.iter();
-        angles.fold(f32::MIN, |most, angle| most.max(-tan(*angle)))
-    }
-
     /// Writes the tangents of output row `v`.
     // Firmware has no vectors to be compiled for, and less memory for copies.
     #[cfg_attr(not(target_os = "none"), inline(always))]
