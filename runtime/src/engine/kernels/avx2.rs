@@ -141,15 +141,73 @@ impl Multiply for Avx2 {
     }
 }
 
-/// Calls `store(pixel, lane, accumulators)` for each block of each pixel, `PIXELS` at a time.
+/// Where accumulators of a block of channels go. A trait and not a closure: closures cannot be `#[inline(always)]`, and what is not
+/// inlined has no AVX2, and calls every intrinsic.
+trait Store {
+    /// # Safety
+    /// The processor has AVX2; pixel and lane are the row's and the convolution's.
+    unsafe fn store(&mut self, pixel: usize, lane: usize, sums: [__m256i; 2]);
+}
+
+/// As bytes, pixels `pitch` apart.
+struct Bytes<'a> {
+    factors: &'a [f32],
+    limits: Limits,
+    out: *mut u8,
+    pitch: usize,
+}
+
+impl Store for Bytes<'_> {
+    #[inline(always)]
+    unsafe fn store(&mut self, pixel: usize, lane: usize, sums: [__m256i; 2]) {
+        // SAFETY: there is a factor for every lane, and `out` has room for the row.
+        unsafe {
+            let factors = self.factors.as_ptr().add(lane);
+            let low = scaled(sums[0], _mm256_loadu_ps(factors));
+            let high = scaled(sums[1], _mm256_loadu_ps(factors.add(8)));
+            let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(low, high));
+            let out = self.out.add(pixel * self.pitch + lane);
+            _mm_storeu_si128(out.cast(), self.limits.pack(results));
+        }
+    }
+}
+
+/// As f32, lane after lane; lanes without an output stay as they are.
+struct Floats<'a> {
+    factors: &'a [f32],
+    outputs: usize,
+    pixels: usize,
+    out: &'a mut [f32],
+}
+
+impl Store for Floats<'_> {
+    #[inline(always)]
+    unsafe fn store(&mut self, pixel: usize, lane: usize, sums: [__m256i; 2]) {
+        for (half, sums) in sums.into_iter().enumerate() {
+            let lane = lane + half * 8;
+            let mut values = [0.0; 8];
+            // SAFETY: there is a factor for every lane.
+            unsafe {
+                let factors = _mm256_loadu_ps(self.factors.as_ptr().add(lane));
+                let reals = _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors);
+                _mm256_storeu_ps(values.as_mut_ptr(), reals);
+            }
+            for (lane, value) in (lane..self.outputs).zip(values) {
+                self.out[lane * self.pixels + pixel] = value;
+            }
+        }
+    }
+}
+
+/// Stores each block of each pixel, `PIXELS` at a time.
 ///
 /// # Safety
-/// The processor has the instructions of `M`, and the row passed `Dense::check`.
+/// The processor has AVX2 and the instructions of `M`, and the row passed `Dense::check`; `store` has room for the row.
 #[inline(always)]
 unsafe fn dense<M: Multiply, const PIXELS: usize>(
     dense: &Dense,
     row: &Row<'_>,
-    mut store: impl FnMut(usize, usize, [__m256i; 2]),
+    mut store: impl Store,
 ) {
     let mut lane = 0;
     let mut weights = dense.weights.as_ptr();
@@ -169,12 +227,12 @@ unsafe fn dense<M: Multiply, const PIXELS: usize>(
                 for pixel in (0..whole).step_by(PIXELS) {
                     tile.pixel = pixel;
                     for (number, sums) in M::sums::<PIXELS>(tile).into_iter().enumerate() {
-                        store(pixel + number, lane, sums);
+                        store.store(pixel + number, lane, sums);
                     }
                 }
                 for pixel in whole..row.pixels {
                     tile.pixel = pixel;
-                    store(pixel, lane, M::sums::<1>(tile)[0]);
+                    store.store(pixel, lane, M::sums::<1>(tile)[0]);
                 }
             }
             lane += BLOCK;
@@ -196,17 +254,15 @@ pub(super) unsafe fn bytes<M: Multiply, const PIXELS: usize>(
     out: &mut [u8],
     pitch: usize,
 ) {
-    // SAFETY: this function's conditions; there is a factor for every lane.
+    // SAFETY: this function's conditions.
     unsafe {
-        let limits = Limits::new(to);
-        let out = out.as_mut_ptr();
-        dense::<M, PIXELS>(packed, row, |pixel, lane, sums| {
-            let factors = packed.factors.as_ptr().add(lane);
-            let low = scaled(sums[0], _mm256_loadu_ps(factors));
-            let high = scaled(sums[1], _mm256_loadu_ps(factors.add(8)));
-            let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(low, high));
-            _mm_storeu_si128(out.add(pixel * pitch + lane).cast(), limits.pack(results));
-        });
+        let store = Bytes {
+            factors: &packed.factors,
+            limits: Limits::new(to),
+            out: out.as_mut_ptr(),
+            pitch,
+        };
+        dense::<M, PIXELS>(packed, row, store);
     }
 }
 
@@ -220,21 +276,14 @@ pub(super) unsafe fn floats<M: Multiply, const PIXELS: usize>(
     row: &Row<'_>,
     out: &mut [f32],
 ) {
-    // SAFETY: this function's conditions; there is a factor for every lane.
-    unsafe {
-        dense::<M, PIXELS>(packed, row, |pixel, lane, sums| {
-            for (half, sums) in sums.into_iter().enumerate() {
-                let lane = lane + half * 8;
-                let mut values = [0.0; 8];
-                let factors = _mm256_loadu_ps(packed.factors.as_ptr().add(lane));
-                let reals = _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors);
-                _mm256_storeu_ps(values.as_mut_ptr(), reals);
-                for (number, value) in values.into_iter().enumerate() {
-                    out[(lane + number) * row.pixels + pixel] = value;
-                }
-            }
-        });
-    }
+    let store = Floats {
+        factors: &packed.factors,
+        outputs: packed.outputs,
+        pixels: row.pixels,
+        out,
+    };
+    // SAFETY: this function's conditions.
+    unsafe { dense::<M, PIXELS>(packed, row, store) }
 }
 
 /// # Safety
