@@ -187,35 +187,43 @@ impl<'a, 's> Plane<'a, 's> {
 }
 
 /// The slope head on its way to the tangent of the expected slope at every output pixel.
-pub(super) enum SlopeTangent<'a, 's> {
-    /// Decoded at the head's size; tangents are upsampled.
-    HeadSize {
-        source: TangentRows<'a, 's>,
-        upsampler: Upsampler<'s>,
-    },
-    /// Logits are upsampled; decoded at the output's size.
-    OutputSize {
-        source: LogitRows<'a>,
-        upsampler: Upsampler<'s>,
-        logits: &'s mut [f32],
-        softmax: Softmax<'a, 's>,
-    },
+pub(super) struct SlopeTangent<'a, 's> {
+    source: SlopeRows<'a, 's>,
+    upsampler: Upsampler<'s>,
+    /// Where logits are upsampled: what decodes them then.
+    late: Option<(&'s mut [f32], Softmax<'a, 's>)>,
+}
+
+/// What is upsampled. Not a type each: all of the upsampling is inlined, and would be there twice.
+enum SlopeRows<'a, 's> {
+    Tangents(TangentRows<'a, 's>),
+    Logits(LogitRows<'a>),
+}
+
+impl SourceRows for SlopeRows<'_, '_> {
+    #[inline(always)]
+    fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error> {
+        match self {
+            Self::Tangents(tangents) => tangents.write_row(y, row),
+            Self::Logits(logits) => logits.write_row(y, row),
+        }
+    }
 }
 
 /// Tangents at the head's size.
-pub(super) struct TangentRows<'a, 's> {
+struct TangentRows<'a, 's> {
     map: HeadMap<'a>,
     logits: &'s mut [f32],
     softmax: Softmax<'a, 's>,
 }
 
 /// The logits of all classes at the head's size, class after class.
-pub(super) struct LogitRows<'a> {
+struct LogitRows<'a> {
     map: HeadMap<'a>,
 }
 
 /// A row's softmax over classes, on the way to the tangent of the expected angle.
-pub(super) struct Softmax<'a, 's> {
+struct Softmax<'a, 's> {
     angles: &'a [f32],
     largest: &'s mut [f32],
     sum: &'s mut [f32],
@@ -251,35 +259,33 @@ impl<'a, 's> SlopeTangent<'a, 's> {
             });
         }
         let input = map.size();
-        Ok(match head.decode_at {
-            DecodeAt::HeadSize => {
-                let width = input.width() as usize;
-                Self::HeadSize {
-                    source: TangentRows {
-                        map,
-                        logits: scratch.take(width)?,
-                        softmax: Softmax {
-                            angles,
-                            largest: scratch.take(width)?,
-                            sum: scratch.take(width)?,
-                        },
-                    },
-                    upsampler: Upsampler::new(upsampling, 1, input, output, scratch)?,
-                }
-            }
-            DecodeAt::OutputSize => {
-                let width = output.width() as usize;
-                Self::OutputSize {
-                    source: LogitRows { map },
-                    upsampler: Upsampler::new(upsampling, angles.len(), input, output, scratch)?,
-                    logits: scratch.take(angles.len() * width)?,
-                    softmax: Softmax {
-                        angles,
-                        largest: scratch.take(width)?,
-                        sum: scratch.take(width)?,
-                    },
-                }
-            }
+        let early = head.decode_at == DecodeAt::HeadSize;
+        let width = if early { input } else { output }.width() as usize;
+        let channels = if early { 1 } else { angles.len() };
+        let logits = scratch.take(channels * width)?;
+        let softmax = Softmax {
+            angles,
+            largest: scratch.take(width)?,
+            sum: scratch.take(width)?,
+        };
+        let upsampler = Upsampler::new(upsampling, channels, input, output, scratch)?;
+        let (source, late) = if early {
+            let tangents = TangentRows {
+                map,
+                logits,
+                softmax,
+            };
+            (SlopeRows::Tangents(tangents), None)
+        } else {
+            (
+                SlopeRows::Logits(LogitRows { map }),
+                Some((logits, softmax)),
+            )
+        };
+        Ok(Self {
+            source,
+            upsampler,
+            late,
         })
     }
 
@@ -287,28 +293,24 @@ impl<'a, 's> SlopeTangent<'a, 's> {
     // Firmware has no vectors to be compiled for, and less memory for copies.
     #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(super) fn row(&mut self, v: u32, out: &mut [f32]) -> Result<(), Error> {
-        match self {
-            Self::HeadSize { source, upsampler } => upsampler.row(v, out, source),
-            Self::OutputSize {
-                source,
-                upsampler,
-                logits,
-                softmax,
-            } => {
-                upsampler.row(v, logits, source)?;
-                let rows = logits.chunks_exact(out.len().max(1));
-                softmax.begin();
-                for row in rows.clone() {
-                    softmax.raise(row);
-                }
-                out.fill(0.0);
-                for (class, row) in rows.enumerate() {
-                    softmax.accumulate(class, row, out);
-                }
-                softmax.finish(out);
-                Ok(())
+        let upsampled = match &mut self.late {
+            Some((logits, _)) => &mut **logits,
+            None => &mut *out,
+        };
+        self.upsampler.row(v, upsampled, &mut self.source)?;
+        if let Some((logits, softmax)) = &mut self.late {
+            let rows = logits.chunks_exact(out.len().max(1));
+            softmax.begin();
+            for row in rows.clone() {
+                softmax.raise(row);
             }
+            out.fill(0.0);
+            for (class, row) in rows.enumerate() {
+                softmax.accumulate(class, row, out);
+            }
+            softmax.finish(out);
         }
+        Ok(())
     }
 }
 

@@ -205,7 +205,8 @@ impl<'s> Columns<'s> {
 /// be a gather.
 #[inline(always)]
 fn stretch(row: &[f32], out: &mut [f32], run: &[f32], shares: &[f32]) {
-    const LANES: usize = 8;
+    // Firmware has no vectors, and no time for columns that are overwritten.
+    const LANES: usize = if cfg!(target_os = "none") { 1 } else { 8 };
     // Of one length, so that one comparison finds a place inside of both.
     let Some(shares) = shares.get(..out.len()) else {
         return;
