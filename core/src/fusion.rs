@@ -161,12 +161,14 @@ impl Fusion {
         (first..end, rows * output.row())
     }
 
-    /// The least inverse depth of the plane, 1/m, that a slope may make ground of, for a camera so many metres over it and slopes whose
-    /// steepest climb has this tangent ([`SlopeClasses::steepest_climb`](crate::slope::SlopeClasses::steepest_climb); 0 for
-    /// vanilla). A row whose [`GroundRows::row_bound`] is less has no ground and takes a fraction of the time of others, which whoever
-    /// shares [`Self::rows`] out wants to know.
+    /// The least inverse depth of the plane, 1/m, that a slope may make ground of: for a camera so many metres over it,
+    /// and slopes whose steepest climb has this tangent
+    /// ([`SlopeClasses::steepest_climb`](crate::slope::SlopeClasses::steepest_climb); 0 for vanilla). A row whose
+    /// [`GroundRows::row_bound`] is less has no ground and takes a fraction of the time of others, which whoever shares
+    /// [`Self::rows`] out wants to know.
     pub fn least_ground(&self, camera_height: f32, steepest_climb: f32) -> f32 {
-        self.ground_floor * (1.0 - SLACK) - steepest_climb / camera_height * (1.0 + SLACK)
+        let climb = steepest_climb.max(0.0) / camera_height;
+        self.ground_floor * (1.0 - SLACK) - climb * (1.0 + SLACK)
     }
 
     /// Baseline: the residual is the depth. `depth` has the output's pixels, or those of [`Self::rows`].
@@ -209,15 +211,7 @@ impl Fusion {
         maps: FusedMaps<'_>,
     ) -> Result<(), Error> {
         let mut scratch = Scratch::new(scratch);
-        let least = self.least_ground(ground.camera_height(), 0.0);
-        self.fuse(
-            ground,
-            (None, least),
-            residual,
-            attention,
-            &mut scratch,
-            maps,
-        )
+        self.fuse(ground, None, residual, attention, &mut scratch, maps)
     }
 
     /// Adaptive: ground depth from the plane and the expected slope,
@@ -254,33 +248,25 @@ impl Fusion {
     ) -> Result<(), Error> {
         let output = ground.size();
         let mut scratch = Scratch::new(scratch);
-        let climb = slope.map_or(0.0, |slope| slope.classes.steepest_climb());
-        let least = self.least_ground(ground.camera_height(), climb);
         let slope = match slope {
             Some(slope) => {
                 let tangents = scratch.take(output.width() as usize)?;
+                let climb = slope.classes.steepest_climb();
                 let slope = SlopeTangent::new(slope, self.upsampling, output, &mut scratch)?;
-                Some((slope, tangents))
+                Some((slope, climb, tangents))
             }
             None => None,
         };
-        self.fuse(
-            ground,
-            (slope, least),
-            residual,
-            attention,
-            &mut scratch,
-            maps,
-        )
+        self.fuse(ground, slope, residual, attention, &mut scratch, maps)
     }
 
-    /// Fuses row by row; `slope` comes with memory for a row of its tangents. Rows that stay below [`Self::least_ground`] have none.
+    /// Fuses row by row; `slope` comes with the tangent of its steepest climb, and with memory for a row of tangents.
     // Firmware has no vectors to be compiled for, and less memory for copies.
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn fuse<'s, G: GroundRows + ?Sized>(
         &self,
         ground: &G,
-        (mut slope, least): (Option<(SlopeTangent<'_, 's>, &'s mut [f32])>, f32),
+        mut slope: Option<(SlopeTangent<'_, 's>, f32, &'s mut [f32])>,
         residual: &ResidualHead<'_>,
         attention: &AttentionHead<'_>,
         scratch: &mut Scratch<'s>,
@@ -296,6 +282,8 @@ impl Fusion {
         let mut residual = Plane::residual(residual, self.upsampling, output, scratch)?;
         let mut attention = Plane::attention(attention, self.upsampling, output, scratch)?;
         let per_height = 1.0 / ground.camera_height();
+        let climb = slope.as_ref().map_or(0.0, |(_, climb, _)| *climb);
+        let least = self.least_ground(ground.camera_height(), climb);
         let ground_row = scratch.take(width)?;
         let attention_row = scratch.take(width)?;
         let mut attention_map = maps.attention.map(|map| map.chunks_exact_mut(width));
@@ -322,7 +310,7 @@ impl Fusion {
             if ground_ahead {
                 let values = depth_row.iter_mut().zip(ground_row.iter_mut());
                 let values = values.zip(attention_row.iter());
-                if let Some((slope, tangents)) = &mut slope {
+                if let Some((slope, _, tangents)) = &mut slope {
                     slope.row(v, tangents)?;
                     for (((depth, ground), m), tangent) in values.zip(tangents.iter()) {
                         *ground = self.ground_depth(*ground - tangent * per_height);

@@ -99,8 +99,11 @@ impl<const N: usize> SlopeClasses<N> {
 
     /// The tangent of the steepest climb that any class has; 0 if none climbs.
     pub fn steepest_climb(&self) -> f32 {
-        let lowest = self.angles.iter().copied().fold(0.0, f32::min);
-        -tan(f64::from(lowest)) as f32
+        let steepest = self
+            .angles
+            .iter()
+            .fold(0.0_f32, |most, angle| most.max(-angle));
+        tan(f64::from(steepest)) as f32
     }
 
     /// The expected slope, radians, positive downhill: `sum_i p_i tau_i` with `p = softmax(logits)` (Eq. 8).

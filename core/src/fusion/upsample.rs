@@ -195,18 +195,23 @@ impl<'s> Columns<'s> {
                     0.0625, 0.1875, 0.3125, 0.4375, 0.5625, 0.6875, 0.8125, 0.9375,
                 ],
             ),
-            Self::Any { run, share } => stretch(row, out, run, share),
+            Self::Any { run, share } => stretch::<LANES>(row, out, run, share),
         }
     }
 }
+
+/// Values of a register, or 1 where compilers make no vectors of floats: columns that the next register overwrites are lost time there.
+const LANES: usize = if cfg!(any(target_arch = "x86_64", target_arch = "aarch64")) {
+    8
+} else {
+    1
+};
 
 /// Between each source column and the next as many columns as `run` says (as bits), at `shares` of the way. Whole registers are
 /// written, and what is too much of one is overwritten by the next: to look up two source columns for each column of output would
 /// be a gather.
 #[inline(always)]
-fn stretch(row: &[f32], out: &mut [f32], run: &[f32], shares: &[f32]) {
-    // Firmware has no vectors, and no time for columns that are overwritten.
-    const LANES: usize = if cfg!(target_os = "none") { 1 } else { 8 };
+fn stretch<const LANES: usize>(row: &[f32], out: &mut [f32], run: &[f32], shares: &[f32]) {
     // Of one length, so that one comparison finds a place inside of both.
     let Some(shares) = shares.get(..out.len()) else {
         return;
@@ -269,7 +274,7 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    use super::{Columns, Upsampling, lerp};
+    use super::{Columns, Upsampling, lerp, stretch};
 
     /// The fast ways for two, four and eight times give the very bytes of the general one.
     #[test]

@@ -145,7 +145,8 @@ impl Multiply for Avx2 {
 /// inlined has no AVX2, and calls every intrinsic.
 trait Store {
     /// # Safety
-    /// The processor has AVX2; pixel and lane are the row's and the convolution's.
+    /// The processor has AVX2, and this was made for the row and the convolution that `pixel` and `lane` are of: it has a factor for
+    /// each lane, and room for each pixel.
     unsafe fn store(&mut self, pixel: usize, lane: usize, sums: [__m256i; 2]);
 }
 
@@ -153,20 +154,20 @@ trait Store {
 struct Bytes<'a> {
     factors: &'a [f32],
     limits: Limits,
-    out: *mut u8,
+    out: &'a mut [u8],
     pitch: usize,
 }
 
 impl Store for Bytes<'_> {
     #[inline(always)]
     unsafe fn store(&mut self, pixel: usize, lane: usize, sums: [__m256i; 2]) {
-        // SAFETY: there is a factor for every lane, and `out` has room for the row.
+        // SAFETY: this function's conditions.
         unsafe {
             let factors = self.factors.as_ptr().add(lane);
             let low = scaled(sums[0], _mm256_loadu_ps(factors));
             let high = scaled(sums[1], _mm256_loadu_ps(factors.add(8)));
             let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(low, high));
-            let out = self.out.add(pixel * self.pitch + lane);
+            let out = self.out.as_mut_ptr().add(pixel * self.pitch + lane);
             _mm_storeu_si128(out.cast(), self.limits.pack(results));
         }
     }
@@ -186,7 +187,7 @@ impl Store for Floats<'_> {
         for (half, sums) in sums.into_iter().enumerate() {
             let lane = lane + half * 8;
             let mut values = [0.0; 8];
-            // SAFETY: there is a factor for every lane.
+            // SAFETY: this function's conditions.
             unsafe {
                 let factors = _mm256_loadu_ps(self.factors.as_ptr().add(lane));
                 let reals = _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors);
@@ -199,21 +200,22 @@ impl Store for Floats<'_> {
     }
 }
 
-/// Stores each block of each pixel, `PIXELS` at a time.
+/// Puts each block of each pixel into `sink`, `PIXELS` at a time.
 ///
 /// # Safety
-/// The processor has AVX2 and the instructions of `M`, and the row passed `Dense::check`; `store` has room for the row.
+/// The processor has AVX2 and the instructions of `M`; the row passed `Dense::check`; `sink` was made for it and `dense`.
 #[inline(always)]
 unsafe fn dense<M: Multiply, const PIXELS: usize>(
     dense: &Dense,
     row: &Row<'_>,
-    mut store: impl Store,
+    mut sink: impl Store,
 ) {
     let mut lane = 0;
     let mut weights = dense.weights.as_ptr();
     for group in dense.groups() {
         for block in 0..group {
-            // SAFETY: `Dense::new` packed as many starts and weights as the groups have; the pixels are the row's.
+            // SAFETY: `Dense::new` packed as many starts, factors and weights as the groups have; the pixels are the row's, and
+            // `sink` has room for them.
             unsafe {
                 let mut tile = Tile {
                     dense,
@@ -227,12 +229,12 @@ unsafe fn dense<M: Multiply, const PIXELS: usize>(
                 for pixel in (0..whole).step_by(PIXELS) {
                     tile.pixel = pixel;
                     for (number, sums) in M::sums::<PIXELS>(tile).into_iter().enumerate() {
-                        store.store(pixel + number, lane, sums);
+                        sink.store(pixel + number, lane, sums);
                     }
                 }
                 for pixel in whole..row.pixels {
                     tile.pixel = pixel;
-                    store.store(pixel, lane, M::sums::<1>(tile)[0]);
+                    sink.store(pixel, lane, M::sums::<1>(tile)[0]);
                 }
             }
             lane += BLOCK;
@@ -256,13 +258,13 @@ pub(super) unsafe fn bytes<M: Multiply, const PIXELS: usize>(
 ) {
     // SAFETY: this function's conditions.
     unsafe {
-        let store = Bytes {
+        let sink = Bytes {
             factors: &packed.factors,
             limits: Limits::new(to),
-            out: out.as_mut_ptr(),
+            out,
             pitch,
         };
-        dense::<M, PIXELS>(packed, row, store);
+        dense::<M, PIXELS>(packed, row, sink);
     }
 }
 
@@ -276,14 +278,14 @@ pub(super) unsafe fn floats<M: Multiply, const PIXELS: usize>(
     row: &Row<'_>,
     out: &mut [f32],
 ) {
-    let store = Floats {
+    let sink = Floats {
         factors: &packed.factors,
         outputs: packed.outputs,
         pixels: row.pixels,
         out,
     };
     // SAFETY: this function's conditions.
-    unsafe { dense::<M, PIXELS>(packed, row, store) }
+    unsafe { dense::<M, PIXELS>(packed, row, sink) }
 }
 
 /// # Safety
