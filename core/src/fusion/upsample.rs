@@ -271,6 +271,7 @@ fn widen<const S: usize>(row: &[f32], out: &mut [f32], shares: [f32; S]) {
 mod tests {
     extern crate std;
 
+    use std::format;
     use std::vec;
     use std::vec::Vec;
 
@@ -318,15 +319,17 @@ mod tests {
                 let row: Vec<f32> = (0..from).map(|i| (i as f32 * 1.7).sin() * 10.0).collect();
                 let (mut run, mut share) = (vec![0.0; row.len()], vec![0.0; to as usize]);
                 let general = Columns::any(upsampling, &mut run, &mut share);
-                let mut out = vec![f32::NAN; to as usize];
-                general.widen(&row, &mut out);
-                for (u, out) in (0..to).zip(&out) {
+                let Columns::Any { run, share } = general else {
+                    unreachable!("made so")
+                };
+                let mut out = [(); 2].map(|()| vec![f32::NAN; to as usize]);
+                stretch::<1>(&row, &mut out[0], run, share);
+                stretch::<8>(&row, &mut out[1], run, share);
+                for (u, made) in (0..to).zip(out[0].iter().zip(&out[1])) {
                     let (before, after, share) = upsampling.sample(u, from, to);
                     let expected = lerp(row[before as usize], row[after as usize], share);
-                    assert_eq!(
-                        *out, expected,
-                        "{upsampling:?}, column {u} of {from} to {to}"
-                    );
+                    let what = format!("{upsampling:?}, column {u} of {from} to {to}");
+                    assert_eq!(made, (&expected, &expected), "{what}");
                 }
             }
         }
