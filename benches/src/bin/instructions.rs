@@ -31,28 +31,16 @@ const CASES: [(&str, fn()); 14] = [
     ("table_brown_conrady", || table(&brown_conrady())),
     ("table_rebuild", rebuild),
     // As callers get it that are compiled for any x86-64, and as the runtime does, for AVX2.
-    ("fusion_baseline_sse2", || {
-        fusion(Mode::Baseline, fuse, size())
-    }),
-    ("fusion_vanilla_sse2", || {
-        fusion(Mode::Vanilla, fuse, size())
-    }),
-    ("fusion_adaptive_sse2", || {
-        fusion(Mode::Adaptive, fuse, size())
-    }),
-    ("fusion_baseline", || {
-        fusion(Mode::Baseline, fuse_avx2, size())
-    }),
-    ("fusion_vanilla", || {
-        fusion(Mode::Vanilla, fuse_avx2, size())
-    }),
-    ("fusion_adaptive", || {
-        fusion(Mode::Adaptive, fuse_avx2, size())
-    }),
+    ("fusion_baseline_sse2", || fusion(Mode::Baseline, fuse)),
+    ("fusion_vanilla_sse2", || fusion(Mode::Vanilla, fuse)),
+    ("fusion_adaptive_sse2", || fusion(Mode::Adaptive, fuse)),
+    ("fusion_baseline", || fusion(Mode::Baseline, fuse_avx2)),
+    ("fusion_vanilla", || fusion(Mode::Vanilla, fuse_avx2)),
+    ("fusion_adaptive", || fusion(Mode::Adaptive, fuse_avx2)),
     ("fusion_adaptive_resized", || {
         // To a picture whose size is no multiple of the heads'.
         let picture = ImageSize::new(1242, 375).expect("a valid size");
-        fusion(Mode::Adaptive, fuse_avx2, picture)
+        fusion_to(picture, Mode::Adaptive, fuse_avx2)
     }),
     // Picture to depth: resampling, the network, and fusion at the network's size.
     ("picture_avx2", || network(Kernel::Avx2, (320, 96))),
@@ -91,16 +79,12 @@ fn ground() -> Ground {
         .expect("valid mounting")
 }
 
-fn intrinsics() -> Intrinsics {
-    intrinsics_of(size())
-}
-
-fn intrinsics_of(size: ImageSize) -> Intrinsics {
+fn intrinsics(size: ImageSize) -> Intrinsics {
     Intrinsics::new(size, 721.5, 721.5, 596.6, 149.9).expect("valid intrinsics")
 }
 
 fn pinhole() -> Pinhole {
-    Pinhole::new(intrinsics())
+    Pinhole::new(intrinsics(size()))
 }
 
 /// It sees 92 degrees to the sides.
@@ -110,7 +94,7 @@ fn kannala_brandt() -> KannalaBrandt {
 }
 
 fn brown_conrady() -> BrownConrady {
-    BrownConrady::new(intrinsics(), [-0.3, 0.12, 0.0005, -0.0004, -0.02])
+    BrownConrady::new(intrinsics(size()), [-0.3, 0.12, 0.0005, -0.0004, -0.02])
         .expect("valid coefficients")
 }
 
@@ -171,8 +155,13 @@ struct Maps<'a> {
     depth: Vec<f32>,
 }
 
+/// At the network's size.
+fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode)) {
+    fusion_to(size(), mode, fuse);
+}
+
 /// Residual and attention at half the network's size, the slope at an eighth: as the shipped networks have them.
-fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode), output: ImageSize) {
+fn fusion_to(output: ImageSize, mode: Mode, fuse: fn(&mut Maps<'_>, Mode)) {
     let degrees = Angle::from_degrees;
     let classes = SlopeClasses::uniform(
         degrees(-5.0),
@@ -197,7 +186,7 @@ fn fusion(mode: Mode, fuse: fn(&mut Maps<'_>, Mode), output: ImageSize) {
             200.0,
         )
         .expect("a valid limit"),
-        ground: GroundCoefficients::new(&intrinsics_of(output), &ground()),
+        ground: GroundCoefficients::new(&intrinsics(output), &ground()),
         residual: ResidualHead {
             map: map(&residual, 1, half),
             unit: ResidualUnit::LogMetres,
