@@ -476,13 +476,13 @@ fn files_of_other_tools_give_what_onnx_runtime_gives() {
 
 /// Each layer of the shipped networks, given what the engine made of the layers before it.
 #[test]
-fn every_layer_of_the_networks_is_what_tract_makes_of_the_same_nodes() {
+fn every_layer_of_the_networks_is_the_nearest_step() {
     for name in ["adaptive-int8", "large-adaptive-int8"] {
-        every_layer_is_what_tract_makes(name);
+        every_layer_is_the_nearest_step(name);
     }
 }
 
-fn every_layer_is_what_tract_makes(name: &str) {
+fn every_layer_is_the_nearest_step(name: &str) {
     let file =
         Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../fixtures/models/{name}.onnx"));
     let bytes = std::fs::read(file).unwrap();
