@@ -824,7 +824,7 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
 #[test]
 fn depthwise_of_any_channels_in_rows_of_any_length() {
     let mut numbers = Numbers(12);
-    for channels in [3_usize, 16, 20, 32, 40, 48, 80, 96] {
+    for channels in [3_usize, 16, 20, 32, 40, 48, 80, 96, 112, 144] {
         let sides = [(3, 1), (3, 2), (5, 1), (5, 2)];
         let pixels = [1_usize, 2, 3, 4, 7, 8, 15, 16, 37];
         for ((side, stride), pixels) in sides.into_iter().flat_map(|s| pixels.map(|p| (s, p))) {
