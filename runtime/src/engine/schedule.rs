@@ -528,11 +528,11 @@ fn between_borders<'a>(buffer: &Buffer, whole: &'a mut [u8]) -> &'a mut [u8] {
     pixels
 }
 
-/// Channels from which on depthwise convolutions, which read each pixel several times, gain more by whole lines than their bytes cost.
+/// With more channels depthwise convolutions, which read each pixel several times, gain more by whole lines than their bytes cost.
 const WIDE: usize = 128;
 
-/// Bytes from pixel to pixel: four for what enters for dense convolutions alone; of more than [`WIDE`] channels up to a third without
-/// meaning for the sake of whole lines, of fewer an eighth.
+/// Bytes from pixel to pixel: four for what enters for dense convolutions alone; of more than [`WIDE`] channels whole lines, of others
+/// whole vectors.
 fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>], kernel: Kernel) -> usize {
     let reads = |reader: &&Layer| {
         let named = |input: &Operand| input.name == layer.output;
@@ -546,14 +546,8 @@ fn pitch(layer: &Layer, channels: usize, order: &[Stage<'_>], kernel: Kernel) ->
     match layer.operation {
         Operation::Quantize if channels <= 4 && readers.all(takes_four) => 4,
         _ => {
-            let vectors = channels.next_multiple_of(16);
-            let lines = channels.next_multiple_of(kernel.line());
-            let spare = if channels > WIDE { 3 } else { 8 };
-            if lines - vectors <= vectors / spare {
-                lines
-            } else {
-                vectors
-            }
+            let whole = if channels > WIDE { kernel.line() } else { 16 };
+            channels.next_multiple_of(whole)
         }
     }
 }

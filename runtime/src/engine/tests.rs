@@ -824,11 +824,23 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
 #[test]
 fn depthwise_of_any_channels_in_rows_of_any_length() {
     let mut numbers = Numbers(12);
-    for channels in [3_usize, 16, 20, 32, 40, 48, 80, 96, 112, 144] {
+    for (channels, pitch) in [
+        (3_usize, 16_usize),
+        (16, 16),
+        (20, 32),
+        (32, 32),
+        (40, 48),
+        (48, 48),
+        (64, 64),
+        (80, 80),
+        (96, 96),
+        (112, 112),
+        (144, 144),
+        (144, 192),
+    ] {
         let sides = [(3, 1), (3, 2), (5, 1), (5, 2)];
-        let pixels = [1_usize, 2, 3, 4, 7, 8, 15, 16, 37];
+        let pixels = [1_usize, 2, 3, 4, 7, 8, 9, 15, 16, 37];
         for ((side, stride), pixels) in sides.into_iter().flat_map(|s| pixels.map(|p| (s, p))) {
-            let pitch = channels.next_multiple_of(16);
             let row_bytes = pitch * ((pixels - 1) * stride + side);
             let input: Vec<u8> = (0..side * row_bytes)
                 .map(|_| numbers.below(256) as u8)

@@ -895,12 +895,12 @@ pub(super) unsafe fn depthwise(depthwise: &Depthwise, row: &Row<'_>, to: &ToByte
         ..
     } = depthwise;
     // Without dilation neighbouring taps are neighbouring pixels.
-    let close = columns == 1 || row.runs[1] - row.runs[0] == pitch;
+    let close = |line: &[usize]| line.windows(2).all(|taps| taps[0] + pitch == taps[1]);
     let stride = row.step / pitch;
     let most_split = strips(pitch).map(|(_, split)| split).max().unwrap_or(1);
     let least = if rows > TALL { FIVE_PIXELS } else { 1 };
-    if !close
-        || !has(rows, columns)
+    if depthwise.interleaved.starts.is_empty()
+        || !row.runs.chunks(columns).all(close)
         || !matches!(stride, 1 | 2)
         || row.pixels.div_ceil(most_split) < least
     {
@@ -911,7 +911,8 @@ pub(super) unsafe fn depthwise(depthwise: &Depthwise, row: &Row<'_>, to: &ToByte
     let out = out.as_mut_ptr();
     for (number, (channel, split)) in strips(pitch).enumerate() {
         let place = [number, channel];
-        // SAFETY: the caller checked the row; kernel and stride are the row's own, and it is long enough.
+        // SAFETY: the caller checked the row, whose taps lie side by side; kernel and stride are its own, the weights are packed for
+        // them, and it is long enough.
         unsafe {
             match split {
                 1 => Strip::<1>::new(depthwise, row, limits, place, out).run(rows, stride),

@@ -1,7 +1,7 @@
 //! The inner loops: one file per instruction set, one meaning (that of [`super::layer`]), the same bytes from each.
 //!
 //! Layout: a tensor is rows of pixels, each pixel `pitch` bytes: its channels, then bytes without meaning up to a
-//! multiple of 16 (of 4 for a tensor of at most four channels that enters from f32). Rows carry a border of pixels that
+//! multiple of 16 or of a cache line (of 4 for a tensor of at most four channels that enters from f32). Rows carry a border of pixels that
 //! hold the zero point, so that no kernel asks where the picture ends.
 //!
 //! Convolution weights are packed for instructions that multiply some neighbouring bytes of input with as many of weights
