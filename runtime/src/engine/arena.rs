@@ -2,7 +2,7 @@
 //!
 //! The borrow checker cannot see that rows of one buffer are shared out between threads and that buffers whose lifetimes
 //! overlap have separate places. The two accessors of [`Shared`] are where that is asserted instead of proved; the
-//! schedule is their only caller.
+//! schedule's `run.rs` is their only caller.
 
 use std::marker::PhantomData;
 use std::ops::Range;

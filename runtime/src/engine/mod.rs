@@ -3,12 +3,14 @@
 //! [`qlinear`] and [`tidy`] bring what different tools write into one form; [`recognize`] finds layers between
 //! QuantizeLinear and DequantizeLinear in the ONNX graph; [`island`] gathers them and
 //! replaces each gathering by one operator of tract ([`operator`]); [`layer`] says exactly what a layer means;
-//! [`schedule`] lays out its memory and shares out its rows among [`threads`]; [`kernels`] are the inner loops; a network
-//! that is all one island runs without tract ([`whole`]). What is not recognized stays with tract, with a reason
-//! ([`inspection`]), and where an island cannot be planned, the whole model does.
+//! [`stages`] says which layers run as one, [`schedule`] lays out their memory and shares out their rows among
+//! [`threads`]; [`kernels`] are the inner loops; a network that is all one island runs without tract ([`whole`]). What is
+//! not recognized stays with tract, with a reason ([`inspection`]), and where an island cannot be planned, the whole model
+//! does.
 //!
 //! # Panics
-//! None on any model or picture. `unsafe` is in [`kernels`], [`arena`] and [`threads`] only.
+//! None on any model or picture. `unsafe` is in [`kernels`], [`arena`] and [`threads`] only, and where [`schedule`]'s
+//! `run.rs` calls the arena's accessors.
 
 mod arena;
 mod expression;

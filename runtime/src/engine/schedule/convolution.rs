@@ -1,0 +1,130 @@
+//! Convolutions made ready: weights packed, and where the input's bytes under a window lie.
+
+use super::super::kernels::{Dense, Depthwise, Kernel};
+use super::super::layer::{Convolution, Form, Quantization};
+use super::buffer::Buffer;
+
+/// Packs a depthwise convolution, and says where its taps are.
+pub(super) fn depthwise(
+    kernel: Kernel,
+    convolution: &Convolution,
+    from: Quantization,
+    form: &Form,
+    input: &Buffer,
+) -> (Depthwise, Vec<usize>) {
+    let window = &convolution.window;
+    let parts = parts(convolution);
+    let [rows, columns] = window.kernel;
+    let taps = (0..parts * rows).flat_map(|row| {
+        (0..columns).map(move |column| {
+            row % rows * window.dilations[0] * input.row_bytes()
+                + column * window.dilations[1] * input.pitch
+        })
+    });
+    // A part's filter follows the other's, as more rows of taps.
+    let filters: Vec<i8> = (0..convolution.outputs)
+        .flat_map(|output| {
+            (0..parts).flat_map(move |number| {
+                let filter = convolution.filter(output);
+                filter.iter().map(move |&weight| part(weight, number))
+            })
+        })
+        .collect();
+    let packed = Depthwise::new(
+        kernel,
+        input.pitch,
+        [parts * rows, columns],
+        &filters,
+        &convolution.starts(from),
+        &convolution.factors(from, form),
+    );
+    (packed, taps.collect())
+}
+
+/// Packs convolutions that read the same pixels, one after the other, and says where their runs are.
+pub(super) fn dense(
+    kernel: Kernel,
+    convolutions: &[&Convolution],
+    from: Quantization,
+    form: &Form,
+    input: &Buffer,
+) -> (Dense, Vec<usize>) {
+    let Convolution { window, inputs, .. } = convolutions[0];
+    let (starts, factors): (Vec<_>, Vec<_>) = convolutions
+        .iter()
+        .map(|c| (c.starts(from), c.factors(from, form)))
+        .unzip();
+    let [rows, columns] = window.kernel;
+    let channels = inputs.next_multiple_of(4);
+    let parts = convolutions.iter().map(|c| parts(c)).max().unwrap_or(1);
+    // Neighbouring taps of a row are neighbours in memory: one run.
+    let (runs, run): (Vec<usize>, usize) = if window.dilations[1] == 1 {
+        let starts = (0..rows).map(|row| row * window.dilations[0] * input.row_bytes());
+        (starts.collect(), (columns - 1) * input.pitch + channels)
+    } else {
+        let starts = (0..rows * columns).map(|tap| {
+            tap / columns * window.dilations[0] * input.row_bytes()
+                + tap % columns * window.dilations[1] * input.pitch
+        });
+        (starts.collect(), channels)
+    };
+    // What is too large for one weight is read again, with the rest of it.
+    let once = runs.len();
+    let runs = runs.repeat(parts);
+    let weight = |output: usize, number: usize, byte: usize| {
+        let (again, number) = (number / once, number % once);
+        let (row, column, channel) = if window.dilations[1] == 1 {
+            (number, byte / input.pitch, byte % input.pitch)
+        } else {
+            (number / columns, number % columns, byte)
+        };
+        let mut output = output;
+        for convolution in convolutions {
+            if output < convolution.outputs {
+                let at = (channel * rows + row) * columns + column;
+                return if channel < *inputs {
+                    part(convolution.filter(output)[at], again)
+                } else {
+                    0
+                };
+            }
+            output -= convolution.outputs;
+        }
+        0
+    };
+    let outputs = convolutions
+        .iter()
+        .map(|convolution| convolution.outputs)
+        .sum();
+    (
+        Dense::new(
+            kernel,
+            outputs,
+            runs.len(),
+            run,
+            &starts.concat(),
+            &factors.concat(),
+            weight,
+        ),
+        runs,
+    )
+}
+
+/// Weights of two's complement bytes that make up each weight: two where one is not enough.
+fn parts(convolution: &Convolution) -> usize {
+    let fits = |&weight: &i16| i8::try_from(weight).is_ok();
+    if convolution.weights.iter().all(fits) {
+        1
+    } else {
+        2
+    }
+}
+
+/// One of the weights that make up `weight`, which is from -255 to 255.
+fn part(weight: i16, number: usize) -> i8 {
+    let first = weight.clamp(-128, 127);
+    match number {
+        0 => first as i8,
+        _ => (weight - first) as i8,
+    }
+}
