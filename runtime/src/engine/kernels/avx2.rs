@@ -10,7 +10,7 @@ const PIXELS: usize = 4;
 
 /// Zero point and bounds of the output in every lane.
 #[derive(Clone, Copy)]
-struct Limits {
+pub(super) struct Limits {
     zero: __m256i,
     low: __m128i,
     high: __m128i,
@@ -18,7 +18,7 @@ struct Limits {
 
 impl Limits {
     #[target_feature(enable = "avx2")]
-    fn new(to: &ToBytes) -> Self {
+    pub(super) fn new(to: &ToBytes) -> Self {
         Self {
             zero: _mm256_set1_epi16(i16::from(to.zero)),
             low: _mm_set1_epi8(*to.range.start() as i8),
@@ -37,12 +37,22 @@ impl Limits {
             self.high,
         )
     }
+
+    /// Four registers of rounded results as bytes; 128-bit lane by lane, the first's four, the second's four and so on.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    pub(super) fn pack_four(&self, [a, b, c, d]: [__m256i; 4]) -> __m256i {
+        let [one, other] = [_mm256_packs_epi32(a, b), _mm256_packs_epi32(c, d)]
+            .map(|words| _mm256_adds_epi16(words, self.zero));
+        let [low, high] = [self.low, self.high].map(|limit| _mm256_broadcastsi128_si256(limit));
+        _mm256_min_epu8(_mm256_max_epu8(_mm256_packus_epi16(one, other), low), high)
+    }
 }
 
 /// Accumulators as rounded results; the processor's rounding mode is Rust's: to nearest, ties to even.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn scaled(sums: __m256i, factors: __m256) -> __m256i {
+pub(super) fn scaled(sums: __m256i, factors: __m256) -> __m256i {
     _mm256_cvtps_epi32(_mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors))
 }
 

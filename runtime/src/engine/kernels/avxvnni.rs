@@ -1,4 +1,4 @@
-//! VNNI in 256 bits: AVX2's kernels, with `vpdpbusd` in the dense ones. It multiplies 32 bytes by 32 weights and adds them
+//! VNNI in 256 bits: AVX2's kernels, with `vpdpbusd` in the convolutions. It multiplies 32 bytes by 32 weights and adds them
 //! exactly, four by four, to 8 lanes.
 //!
 //! Two encodings of one instruction: AVX-VNNI's (client processors, and server ones from Sapphire Rapids on) and
@@ -6,13 +6,97 @@
 
 use std::arch::x86_64::*;
 
-use super::avx2::{self, Multiply, Tile};
-use super::{Dense, Row, ToBytes};
+use super::avx2::{self, Limits, Multiply, Tile, scaled};
+use super::{Dense, Depthwise, Row, ToBytes};
 
-pub(super) use avx2::{add, depthwise, quantize_four};
+pub(super) use avx2::{add, quantize_four};
 
 /// Pixels of a tile: twelve accumulators hide the instruction's latency, and with weights and input fill 16 registers.
 const PIXELS: usize = 6;
+
+/// Taps that one multiplication takes.
+const TAPS: usize = 4;
+/// Channels of a register.
+const WIDE: usize = 32;
+
+/// Weights of a depthwise convolution: four taps are the four bytes of a lane; those that the last quad lacks weigh nothing.
+///
+/// Unpacking four taps of 32 channels byte by byte leaves, in register `j` and 128-bit lane `l`, the channels `16 l + 4 j` to
+/// `+ 3`; weights, starts and factors come in that order, and packing the results undoes it. Where only 16 channels are left
+/// they come twice, for two pixels at once.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Quads {
+    /// `[32 channels][quad][register]`.
+    weights: Vec<Lanes<[i8; TAPS]>>,
+    /// `[32 channels][register]`.
+    starts: Vec<Lanes<i32>>,
+    factors: Vec<Lanes<f32>>,
+}
+
+/// A register in memory.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+struct Lanes<T>([T; 8]);
+
+impl Quads {
+    pub(super) fn new(depthwise: &Depthwise) -> Self {
+        let pitch = depthwise.pitch;
+        let taps = depthwise.rows * depthwise.columns;
+        let mut packed = Self::default();
+        for first in (0..pitch).step_by(WIDE) {
+            let width = WIDE.min(pitch - first);
+            let channels: [[usize; 8]; 4] = std::array::from_fn(|register| {
+                let order = |lane: usize| lane / 4 * 16 + 4 * register + lane % 4;
+                std::array::from_fn(|lane| first + order(lane) % width)
+            });
+            for quad in 0..taps.div_ceil(TAPS) {
+                let weight = |channel: usize, byte: usize| match TAPS * quad + byte {
+                    tap if tap < taps => depthwise.weights[tap * pitch + channel],
+                    _ => 0,
+                };
+                packed.weights.extend(channels.map(|channels| {
+                    Lanes(channels.map(|channel| std::array::from_fn(|byte| weight(channel, byte))))
+                }));
+            }
+            let starts = channels.map(|channels| Lanes(channels.map(|c| depthwise.starts[c])));
+            packed.starts.extend(starts);
+            let factors = channels.map(|channels| Lanes(channels.map(|c| depthwise.factors[c])));
+            packed.factors.extend(factors);
+        }
+        packed
+    }
+}
+
+/// A tap of 32 channels, or of 16 of two pixels.
+///
+/// # Safety
+/// Both pixels' channels lie in memory.
+#[target_feature(enable = "avx2")]
+#[inline]
+unsafe fn tap<const PIXELS: usize>(pixels: [*const u8; 2]) -> __m256i {
+    // SAFETY: as this function's.
+    unsafe {
+        if PIXELS == 1 {
+            _mm256_loadu_si256(pixels[0].cast())
+        } else {
+            _mm256_loadu2_m128i(pixels[1].cast(), pixels[0].cast())
+        }
+    }
+}
+
+/// Four registers of 32 bytes, byte by byte in turns: of each 128-bit lane the first, second, third and fourth four.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn interleaved([a, b, c, d]: [__m256i; TAPS]) -> [__m256i; 4] {
+    let (ab, ab2) = (_mm256_unpacklo_epi8(a, b), _mm256_unpackhi_epi8(a, b));
+    let (cd, cd2) = (_mm256_unpacklo_epi8(c, d), _mm256_unpackhi_epi8(c, d));
+    [
+        _mm256_unpacklo_epi16(ab, cd),
+        _mm256_unpackhi_epi16(ab, cd),
+        _mm256_unpacklo_epi16(ab2, cd2),
+        _mm256_unpackhi_epi16(ab2, cd2),
+    ]
+}
 
 macro_rules! encoding {
     ($name:ident, $features:literal, $multiply:ident) => {
@@ -76,6 +160,101 @@ macro_rules! encoding {
                 // SAFETY: as this function's.
                 unsafe { avx2::floats::<Encoding, PIXELS>(packed, row, out) }
             }
+
+            /// # Safety
+            /// The processor has the encoding, and the row passed `Depthwise::check` with `out`.
+            #[target_feature(enable = $features)]
+            pub(super) unsafe fn depthwise(
+                packed: &Depthwise,
+                row: &Row<'_>,
+                to: &ToBytes,
+                out: &mut [u8],
+            ) {
+                let limits = Limits::new(to);
+                for (number, channel) in (0..packed.pitch).step_by(WIDE).enumerate() {
+                    // SAFETY: as this function's; the pitch is a multiple of 16, and has that many channels from there on.
+                    unsafe {
+                        if channel + WIDE <= packed.pitch {
+                            strip::<1>(packed, row, limits, [number, channel], out);
+                        } else {
+                            strip::<2>(packed, row, limits, [number, channel], out);
+                        }
+                    }
+                }
+            }
+
+            /// The strip of 32 channels of this number, from `channel` on; or the last 16, `PIXELS` being 2.
+            ///
+            /// # Safety
+            /// As [`depthwise`]; the pitch has these channels.
+            #[target_feature(enable = $features)]
+            #[inline]
+            unsafe fn strip<const PIXELS: usize>(
+                packed: &Depthwise,
+                row: &Row<'_>,
+                limits: Limits,
+                [number, channel]: [usize; 2],
+                out: &mut [u8],
+            ) {
+                let Quads {
+                    weights,
+                    starts,
+                    factors,
+                } = &packed.quads;
+                let quads = row.runs.len().div_ceil(TAPS);
+                // SAFETY: `Quads::new` packed four vectors of starts and factors for every strip, and as many of weights for
+                // each quad of its taps, of which the row has as many.
+                let (weights, starts, factors) = unsafe {
+                    (
+                        weights.as_ptr().add(4 * quads * number),
+                        starts.as_ptr().add(4 * number),
+                        factors.as_ptr().add(4 * number),
+                    )
+                };
+                // SAFETY: one of four vectors each, and where a vector of them may be.
+                let start = |j: usize| unsafe { _mm256_load_si256(starts.add(j).cast()) };
+                let factor = |j: usize| unsafe { _mm256_load_ps(factors.add(j).cast()) };
+                let starts: [__m256i; 4] = std::array::from_fn(start);
+                let factors: [__m256; 4] = std::array::from_fn(factor);
+                for pixel in (0..row.pixels).step_by(PIXELS) {
+                    let pixels = [pixel, (pixel + PIXELS - 1).min(row.pixels - 1)];
+                    // SAFETY: taps of the row's pixels lie in its input.
+                    let at = pixels.map(|pixel| unsafe {
+                        row.input
+                            .as_ptr()
+                            .add(row.base + pixel * row.step + channel)
+                    });
+                    let mut sums = starts;
+                    for (quad, runs) in row.runs.chunks(TAPS).enumerate() {
+                        let four = std::array::from_fn(|number| {
+                            let run = runs[number.min(runs.len() - 1)];
+                            // SAFETY: as above.
+                            unsafe { tap::<PIXELS>(at.map(|at| at.add(run))) }
+                        });
+                        for (j, (sum, bytes)) in sums.iter_mut().zip(interleaved(four)).enumerate()
+                        {
+                            // SAFETY: a vector of weights for each register of each quad.
+                            let weights =
+                                unsafe { _mm256_load_si256(weights.add(4 * quad + j).cast()) };
+                            *sum = $multiply(*sum, bytes, weights);
+                        }
+                    }
+                    for (sum, factors) in sums.iter_mut().zip(factors) {
+                        *sum = scaled(*sum, factors);
+                    }
+                    let bytes = limits.pack_four(sums);
+                    // SAFETY: `out` has room for each pixel's channels.
+                    unsafe {
+                        let [one, other] = pixels
+                            .map(|pixel| out.as_mut_ptr().add(pixel * packed.pitch + channel));
+                        if PIXELS == 1 {
+                            _mm256_storeu_si256(one.cast(), bytes);
+                        } else {
+                            _mm256_storeu2_m128i(other.cast(), one.cast(), bytes);
+                        }
+                    }
+                }
+            }
         }
     };
 }
@@ -111,6 +290,19 @@ pub(super) unsafe fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]
             vex::dense_floats(packed, row, out);
         } else {
             evex::dense_floats(packed, row, out);
+        }
+    }
+}
+
+/// # Safety
+/// The processor has AVX2 and one of the encodings; the row passed `Depthwise::check` with `out`.
+pub(super) unsafe fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
+    // SAFETY: as above.
+    unsafe {
+        if std::arch::is_x86_feature_detected!("avxvnni") {
+            vex::depthwise(packed, row, to, out);
+        } else {
+            evex::depthwise(packed, row, to, out);
         }
     }
 }

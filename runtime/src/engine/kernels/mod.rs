@@ -27,6 +27,8 @@ mod portable;
 
 #[cfg(target_arch = "x86_64")]
 use avx512vnni::{Few, Interleaved};
+#[cfg(target_arch = "x86_64")]
+use avxvnni::Quads;
 #[cfg(target_arch = "aarch64")]
 use neon::depthwise::Interleaved;
 pub(crate) use portable::{
@@ -289,6 +291,9 @@ pub(crate) struct Depthwise {
     /// As dot products want them; empty for other kernels.
     #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
     interleaved: Interleaved,
+    /// As AVX-VNNI wants them; empty for other kernels.
+    #[cfg(target_arch = "x86_64")]
+    quads: Quads,
 }
 
 impl Depthwise {
@@ -320,10 +325,16 @@ impl Depthwise {
             factors,
             #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
             interleaved: Interleaved::default(),
+            #[cfg(target_arch = "x86_64")]
+            quads: Quads::default(),
         };
         #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
         if let Kernel::Avx512Vnni | Kernel::NeonDotprod | Kernel::NeonI8mm = kernel {
             packed.interleaved = Interleaved::new(&packed);
+        }
+        #[cfg(target_arch = "x86_64")]
+        if kernel == Kernel::AvxVnni {
+            packed.quads = Quads::new(&packed);
         }
         #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
         let _ = (kernel, &mut packed);

@@ -1,0 +1,277 @@
+//! Dense convolutions: tiles of some pixels in some blocks of channels, their accumulators in registers.
+
+use std::arch::x86_64::*;
+
+use super::super::{BLOCK, Dense, Row, ToBytes};
+use super::{Limits, few, scaled, unrolled};
+
+/// Where a tile of a dense convolution starts.
+#[derive(Clone, Copy)]
+struct Tile<'a> {
+    dense: &'a Dense,
+    row: &'a Row<'a>,
+    /// First output channel.
+    lane: usize,
+    weights: *const i8,
+    pixel: usize,
+}
+
+impl Tile<'_> {
+    /// Accumulators of `PIXELS` pixels in `BLOCKS` blocks of channels.
+    ///
+    /// # Safety
+    /// The row passed `Dense::check`; `lane`, `weights` and `pixel` are such that the tile lies in the row.
+    #[target_feature(enable = "avx512f,avx512vnni")]
+    #[inline]
+    unsafe fn sums<const BLOCKS: usize, const PIXELS: usize>(&self) -> [[__m512i; PIXELS]; BLOCKS] {
+        let Dense { run, starts, .. } = self.dense;
+        let mut sums = [[_mm512_setzero_si512(); PIXELS]; BLOCKS];
+        for (block, sums) in sums.iter_mut().enumerate() {
+            // SAFETY: there is a start for every lane of every block.
+            let start = unsafe {
+                _mm512_loadu_si512(starts.as_ptr().add(self.lane + block * BLOCK).cast())
+            };
+            *sums = [start; PIXELS];
+        }
+        let mut weights = self.weights;
+        let step = self.row.step;
+        for offset in self.row.runs {
+            // SAFETY: the first byte of the run of the tile's first pixel is in the row's input.
+            let mut input = unsafe {
+                self.row
+                    .input
+                    .as_ptr()
+                    .add(self.row.base + offset + self.pixel * step)
+            };
+            for _ in 0..run / 4 {
+                let mut w = [_mm512_setzero_si512(); BLOCKS];
+                for (block, w) in w.iter_mut().enumerate() {
+                    // SAFETY: a group has `runs * run / 4` times `BLOCKS` vectors of weights.
+                    *w = unsafe { _mm512_loadu_si512(weights.add(block * 4 * BLOCK).cast()) };
+                }
+                for pixel in 0..PIXELS {
+                    // SAFETY: four bytes of a run of a pixel of the row.
+                    let quad = unsafe { input.add(pixel * step).cast::<i32>().read_unaligned() };
+                    let quad = _mm512_set1_epi32(quad);
+                    for (sums, &w) in sums.iter_mut().zip(&w) {
+                        sums[pixel] = _mm512_dpbusd_epi32(sums[pixel], quad, w);
+                    }
+                }
+                // SAFETY: at most to the end of the run, and of the group's weights.
+                (input, weights) = unsafe { (input.add(4), weights.add(BLOCKS * 4 * BLOCK)) };
+            }
+        }
+        sums
+    }
+
+    /// Writes a tile as bytes. `PIXELS` is a multiple of four, or 1.
+    ///
+    /// # Safety
+    /// As [`Tile::sums`]; `out` has room for the row.
+    #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+    #[inline]
+    unsafe fn bytes<const BLOCKS: usize, const PIXELS: usize>(
+        &self,
+        limits: Limits,
+        out: *mut u8,
+        pitch: usize,
+    ) {
+        // SAFETY: as this function's.
+        let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
+        // From lanes of four channels of each register to lanes of sixteen channels of one.
+        let in_order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+        // SAFETY: there is a factor for every lane.
+        let factors: [__m512; BLOCKS] = std::array::from_fn(|block| unsafe {
+            _mm512_loadu_ps(self.dense.factors.as_ptr().add(self.lane + block * BLOCK))
+        });
+        let of = |pixel: usize, block: usize| {
+            let (pixel, block) = (pixel.min(PIXELS - 1), block.min(BLOCKS - 1));
+            scaled(sums[block][pixel], factors[block])
+        };
+        // Four registers are packed together: stores are few and long.
+        for first in (0..PIXELS).step_by(4 / BLOCKS) {
+            let four = match BLOCKS {
+                1 => [
+                    of(first, 0),
+                    of(first + 1, 0),
+                    of(first + 2, 0),
+                    of(first + 3, 0),
+                ],
+                2 => [
+                    of(first, 0),
+                    of(first, 1),
+                    of(first + 1, 0),
+                    of(first + 1, 1),
+                ],
+                _ => [of(first, 0), of(first, 1), of(first, 2), of(first, 3)],
+            };
+            let bytes = _mm512_permutexvar_epi32(in_order, limits.pack(four));
+            // SAFETY: the pixels' bytes are in `out`.
+            unsafe {
+                let out = out.add((self.pixel + first) * pitch + self.lane);
+                match BLOCKS {
+                    1 => {
+                        _mm_storeu_si128(out.cast(), _mm512_castsi512_si128(bytes));
+                        if PIXELS > 1 {
+                            let (second, third) = (
+                                _mm512_extracti32x4_epi32::<1>(bytes),
+                                _mm512_extracti32x4_epi32::<2>(bytes),
+                            );
+                            _mm_storeu_si128(out.add(pitch).cast(), second);
+                            _mm_storeu_si128(out.add(2 * pitch).cast(), third);
+                            _mm_storeu_si128(
+                                out.add(3 * pitch).cast(),
+                                _mm512_extracti32x4_epi32::<3>(bytes),
+                            );
+                        }
+                    }
+                    2 => {
+                        _mm256_storeu_si256(out.cast(), _mm512_castsi512_si256(bytes));
+                        if PIXELS > 1 {
+                            let second = _mm512_extracti64x4_epi64::<1>(bytes);
+                            _mm256_storeu_si256(out.add(pitch).cast(), second);
+                        }
+                    }
+                    3 => _mm512_mask_storeu_epi8(out.cast(), u64::MAX >> 16, bytes),
+                    _ => _mm512_storeu_si512(out.cast(), bytes),
+                }
+            }
+        }
+    }
+
+    /// Writes a tile as f32, lane by lane.
+    ///
+    /// # Safety
+    /// As [`Tile::sums`]; `out` has room for the row.
+    #[target_feature(enable = "avx512f,avx512vl,avx512vnni")]
+    #[inline]
+    unsafe fn floats<const BLOCKS: usize, const PIXELS: usize>(&self, out: *mut f32) {
+        // SAFETY: as this function's.
+        let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
+        let pixels = self.row.pixels;
+        for (block, sums) in sums.iter().enumerate() {
+            let lane = self.lane + block * BLOCK;
+            let outputs = self.dense.outputs.saturating_sub(lane).min(BLOCK);
+            // SAFETY: there is a factor for every lane; each lane's pixels are in `out`.
+            unsafe {
+                let factors = _mm512_loadu_ps(self.dense.factors.as_ptr().add(lane));
+                let out = out.add(lane * pixels + self.pixel);
+                let of = |pixel: usize| {
+                    _mm512_mul_ps(_mm512_cvtepi32_ps(sums[pixel.min(PIXELS - 1)]), factors)
+                };
+                // From sixteen lanes of four pixels to four pixels of sixteen lanes: 128-bit lane `l` of `four[k]` is lane
+                // `4 l + k`.
+                let four = |first: usize| {
+                    let (a, b) = (of(first), of(first + 1));
+                    let (c, d) = (of(first + 2), of(first + 3));
+                    let (ab, ab2) = (_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+                    let (cd, cd2) = (_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
+                    [
+                        _mm512_shuffle_ps::<0b01_00_01_00>(ab, cd),
+                        _mm512_shuffle_ps::<0b11_10_11_10>(ab, cd),
+                        _mm512_shuffle_ps::<0b01_00_01_00>(ab2, cd2),
+                        _mm512_shuffle_ps::<0b11_10_11_10>(ab2, cd2),
+                    ]
+                };
+                // Fours of lanes `k`, `4 + k`, `8 + k`, `12 + k` of as many pixels as a register holds.
+                let fours = [four(0), four(4), four(8), four(12)];
+                unrolled!(k in 0 1 2 3 {
+                    let (a, b) = (fours[0][k], fours[1][k]);
+                    let (c, d) = (fours[2][k], fours[3][k]);
+                    let (ab, ab2) = (
+                        _mm512_shuffle_f32x4::<0b01_00_01_00>(a, b),
+                        _mm512_shuffle_f32x4::<0b11_10_11_10>(a, b),
+                    );
+                    let (cd, cd2) = (
+                        _mm512_shuffle_f32x4::<0b01_00_01_00>(c, d),
+                        _mm512_shuffle_f32x4::<0b11_10_11_10>(c, d),
+                    );
+                    let lanes = [
+                        _mm512_shuffle_f32x4::<0b10_00_10_00>(ab, cd),
+                        _mm512_shuffle_f32x4::<0b11_01_11_01>(ab, cd),
+                        _mm512_shuffle_f32x4::<0b10_00_10_00>(ab2, cd2),
+                        _mm512_shuffle_f32x4::<0b11_01_11_01>(ab2, cd2),
+                    ];
+                    let mask = u16::MAX >> (16 - PIXELS);
+                    unrolled!(l in 0 1 2 3 {
+                        if 4 * l + k < outputs {
+                            _mm512_mask_storeu_ps(out.add((4 * l + k) * pixels), mask, lanes[l]);
+                        }
+                    });
+                });
+            }
+        }
+    }
+}
+
+/// Covers a row with tiles of `$most` pixels, then of four (the last one moved back onto pixels already done), or, in
+/// a row shorter than that, of one.
+macro_rules! tiles {
+    ($tile:ident, $blocks:literal, $most:literal, $method:ident($($argument:expr),*)) => {{
+        let pixels = $tile.row.pixels;
+        let mut pixel = 0;
+        while pixel + $most <= pixels {
+            $tile.pixel = pixel;
+            $tile.$method::<$blocks, $most>($($argument),*);
+            pixel += $most;
+        }
+        while pixel < pixels && pixels >= 4 {
+            $tile.pixel = pixel.min(pixels - 4);
+            $tile.$method::<$blocks, 4>($($argument),*);
+            pixel += 4;
+        }
+        while pixel < pixels {
+            $tile.pixel = pixel;
+            $tile.$method::<$blocks, 1>($($argument),*);
+            pixel += 1;
+        }
+    }};
+}
+
+/// Covers all channels of a row.
+macro_rules! channels {
+    ($dense:ident, $row:ident, $method:ident($($argument:expr),*)) => {{
+        let mut tile = Tile { dense: $dense, row: $row, lane: 0, weights: $dense.weights.as_ptr(), pixel: 0 };
+        for group in $dense.groups() {
+            // SAFETY: `Dense::check` held; `Dense::new` packed as many starts, factors and weights as the groups have;
+            // the caller of this function checked that `out` has room.
+            unsafe {
+                match group {
+                    1 => tiles!(tile, 1, 16, $method($($argument),*)),
+                    2 => tiles!(tile, 2, 8, $method($($argument),*)),
+                    3 => tiles!(tile, 3, 8, $method($($argument),*)),
+                    _ => tiles!(tile, 4, 4, $method($($argument),*)),
+                }
+                tile.weights = tile.weights.add(group * BLOCK * $dense.runs * $dense.run);
+            }
+            tile.lane += group * BLOCK;
+        }
+    }};
+}
+
+/// # Safety
+/// The processor has AVX-512 F, BW, VL and VNNI.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+pub(in super::super) unsafe fn dense_bytes(
+    dense: &Dense,
+    row: &Row<'_>,
+    to: &ToBytes,
+    out: &mut [u8],
+    pitch: usize,
+) {
+    let limits = Limits::new(to);
+    let out = out.as_mut_ptr();
+    channels!(dense, row, bytes(limits, out, pitch));
+}
+
+/// # Safety
+/// As [`dense_bytes`].
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+pub(in super::super) unsafe fn dense_floats(dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
+    let out = out.as_mut_ptr();
+    if few::takes(dense, row) {
+        // SAFETY: passed on; one block has all outputs, and no other lane is written.
+        return unsafe { few::few_floats(dense, row, out) };
+    }
+    channels!(dense, row, floats(out));
+}

@@ -1,0 +1,110 @@
+//! Dense convolutions of few outputs that leave as f32: the heads.
+
+use std::arch::x86_64::*;
+
+use super::super::{Dense, Row};
+
+/// Outputs that leave three quarters of a block of lanes empty.
+const FEW: usize = 4;
+/// Bytes of a pixel of input that is a 128-bit lane.
+const NARROW: usize = 16;
+const FEW_PIXELS: usize = 16;
+
+/// Weights of up to [`FEW`] outputs, `[run][16 bytes of it][output]`; empty where they are more, or runs no multiple of 16.
+#[derive(Clone, Debug, Default)]
+pub(in super::super) struct Few(Vec<[i8; NARROW]>);
+
+impl Few {
+    pub(in super::super) fn new(
+        outputs: usize,
+        runs: usize,
+        run: usize,
+        weight: impl Fn(usize, usize, usize) -> i8,
+    ) -> Self {
+        if outputs > FEW || !run.is_multiple_of(NARROW) {
+            return Self::default();
+        }
+        let mut few = Vec::with_capacity(runs * run / NARROW * outputs);
+        for number in 0..runs {
+            for start in (0..run).step_by(NARROW) {
+                few.extend((0..outputs).map(|output| {
+                    std::array::from_fn(|byte| weight(output, number, start + byte))
+                }));
+            }
+        }
+        Self(few)
+    }
+}
+
+/// Whether [`few_floats`] can make such a row.
+pub(super) fn takes(dense: &Dense, row: &Row<'_>) -> bool {
+    !dense.few.0.is_empty() && row.step == NARROW && row.pixels >= FEW_PIXELS
+}
+
+/// Up to four outputs from pixels of 16 channels: the heads. A register holds four pixels of one output, each as four sums that are
+/// added up in the end, instead of sixteen outputs of one pixel of which most do not exist.
+///
+/// # Safety
+/// As [`super::dense_bytes`]; the row passed `Dense::check`, and is one that is [taken](takes); `out` has room for the outputs' rows.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+pub(super) unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
+    // SAFETY: passed on; no more outputs have weights of this kind.
+    unsafe {
+        match dense.outputs {
+            1 => few_of::<1>(dense, row, out),
+            2 => few_of::<2>(dense, row, out),
+            3 => few_of::<3>(dense, row, out),
+            _ => few_of::<FEW>(dense, row, out),
+        }
+    }
+}
+
+/// # Safety
+/// As [`few_floats`]; there are `OUTPUTS` outputs.
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
+#[inline]
+unsafe fn few_of<const OUTPUTS: usize>(dense: &Dense, row: &Row<'_>, out: *mut f32) {
+    for pixel in (0..row.pixels).step_by(FEW_PIXELS) {
+        let pixel = pixel.min(row.pixels - FEW_PIXELS);
+        let mut sums = [[_mm512_setzero_si512(); FEW_PIXELS / 4]; OUTPUTS];
+        let mut weights = dense.few.0.as_ptr();
+        for offset in row.runs {
+            for tap in (0..dense.run).step_by(NARROW) {
+                let at = row.base + offset + pixel * NARROW + tap;
+                let mut input = [_mm512_setzero_si512(); FEW_PIXELS / 4];
+                for (four, input) in input.iter_mut().enumerate() {
+                    // SAFETY: the tap's bytes of four pixels of the row, one after the other.
+                    *input = unsafe {
+                        _mm512_loadu_si512(row.input.as_ptr().add(at + 64 * four).cast())
+                    };
+                }
+                for (output, sums) in sums.iter_mut().enumerate() {
+                    // SAFETY: each 16 bytes of each run have weights of each output.
+                    let of_tap = unsafe { _mm_loadu_si128(weights.add(output).cast()) };
+                    let of_tap = _mm512_broadcast_i32x4(of_tap);
+                    for (sums, &input) in sums.iter_mut().zip(&input) {
+                        *sums = _mm512_dpbusd_epi32(*sums, input, of_tap);
+                    }
+                }
+                // SAFETY: at most to the end of the weights.
+                weights = unsafe { weights.add(OUTPUTS) };
+            }
+        }
+        // Lane `4 l + k` of all that is added up is pixel `4 k + l`.
+        let by_pixel = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+        for (output, [a, b, c, d]) in sums.into_iter().enumerate() {
+            let ab = _mm512_add_epi32(_mm512_unpacklo_epi32(a, b), _mm512_unpackhi_epi32(a, b));
+            let cd = _mm512_add_epi32(_mm512_unpacklo_epi32(c, d), _mm512_unpackhi_epi32(c, d));
+            let all =
+                _mm512_add_epi32(_mm512_unpacklo_epi64(ab, cd), _mm512_unpackhi_epi64(ab, cd));
+            // SAFETY: a start and a factor for each output, and sixteen pixels of its row.
+            unsafe {
+                let start = _mm512_set1_epi32(*dense.starts.get_unchecked(output));
+                let factor = _mm512_set1_ps(*dense.factors.get_unchecked(output));
+                let sum = _mm512_permutexvar_epi32(by_pixel, _mm512_add_epi32(all, start));
+                let value = _mm512_mul_ps(_mm512_cvtepi32_ps(sum), factor);
+                _mm512_storeu_ps(out.add(output * row.pixels + pixel), value);
+            }
+        }
+    }
+}
