@@ -11,6 +11,8 @@ const PIXELS: usize = 4;
 /// Zero point and bounds of the output in every lane.
 #[derive(Clone, Copy)]
 pub(super) struct Limits {
+    /// Whether the zero point is 0 and no byte is out of bounds, as after most clipped layers.
+    plain: bool,
     zero: __m256i,
     low: __m128i,
     high: __m128i,
@@ -20,6 +22,7 @@ impl Limits {
     #[target_feature(enable = "avx2")]
     pub(super) fn new(to: &ToBytes) -> Self {
         Self {
+            plain: to.zero == 0 && to.range == (0..=u8::MAX),
             zero: _mm256_set1_epi16(i16::from(to.zero)),
             low: _mm_set1_epi8(*to.range.start() as i8),
             high: _mm_set1_epi8(*to.range.end() as i8),
@@ -42,8 +45,11 @@ impl Limits {
     #[target_feature(enable = "avx2")]
     #[inline]
     pub(super) fn pack_four(&self, [a, b, c, d]: [__m256i; 4]) -> __m256i {
-        let [one, other] = [_mm256_packs_epi32(a, b), _mm256_packs_epi32(c, d)]
-            .map(|words| _mm256_adds_epi16(words, self.zero));
+        let [one, other] = [_mm256_packs_epi32(a, b), _mm256_packs_epi32(c, d)];
+        if self.plain {
+            return _mm256_packus_epi16(one, other);
+        }
+        let [one, other] = [one, other].map(|words| _mm256_adds_epi16(words, self.zero));
         let [low, high] = [self.low, self.high].map(|limit| _mm256_broadcastsi128_si256(limit));
         _mm256_min_epu8(_mm256_max_epu8(_mm256_packus_epi16(one, other), low), high)
     }
@@ -151,13 +157,18 @@ impl Multiply for Avx2 {
     }
 }
 
-/// Where accumulators of a block of channels go. A trait and not a closure: closures cannot be `#[inline(always)]`, and what is not
+/// Where accumulators of a block of channels of some pixels go. A trait and not a closure: closures cannot be `#[inline(always)]`, and what is not
 /// inlined has no AVX2, and calls every intrinsic.
 trait Store {
     /// # Safety
     /// The processor has AVX2, and this was made for the row and the convolution that `pixel` and `lane` are of: it has a factor for
     /// each lane, and room for each pixel.
-    unsafe fn store(&mut self, pixel: usize, lane: usize, sums: [__m256i; 2]);
+    unsafe fn store<const COUNT: usize>(
+        &mut self,
+        pixel: usize,
+        lane: usize,
+        sums: [[__m256i; 2]; COUNT],
+    );
 }
 
 /// As bytes, pixels `pitch` apart.
@@ -170,15 +181,34 @@ struct Bytes<'a> {
 
 impl Store for Bytes<'_> {
     #[inline(always)]
-    unsafe fn store(&mut self, pixel: usize, lane: usize, sums: [__m256i; 2]) {
+    unsafe fn store<const COUNT: usize>(
+        &mut self,
+        pixel: usize,
+        lane: usize,
+        sums: [[__m256i; 2]; COUNT],
+    ) {
         // SAFETY: this function's conditions.
         unsafe {
             let factors = self.factors.as_ptr().add(lane);
-            let low = scaled(sums[0], _mm256_loadu_ps(factors));
-            let high = scaled(sums[1], _mm256_loadu_ps(factors.add(8)));
-            let results = _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi32(low, high));
+            let factors = [_mm256_loadu_ps(factors), _mm256_loadu_ps(factors.add(8))];
+            // From eights of channels to sixteens of two pixels.
+            let in_order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
             let out = self.out.as_mut_ptr().add(pixel * self.pitch + lane);
-            _mm_storeu_si128(out.cast(), self.limits.pack(results));
+            for one in (0..COUNT).step_by(2) {
+                let other = (one + 1).min(COUNT - 1);
+                let bytes = self.limits.pack_four([
+                    scaled(sums[one][0], factors[0]),
+                    scaled(sums[one][1], factors[1]),
+                    scaled(sums[other][0], factors[0]),
+                    scaled(sums[other][1], factors[1]),
+                ]);
+                let bytes = _mm256_permutevar8x32_epi32(bytes, in_order);
+                let at = [one, other].map(|number| out.add(number * self.pitch));
+                _mm_storeu_si128(at[0].cast(), _mm256_castsi256_si128(bytes));
+                if other > one {
+                    _mm_storeu_si128(at[1].cast(), _mm256_extracti128_si256::<1>(bytes));
+                }
+            }
         }
     }
 }
@@ -193,18 +223,25 @@ struct Floats<'a> {
 
 impl Store for Floats<'_> {
     #[inline(always)]
-    unsafe fn store(&mut self, pixel: usize, lane: usize, sums: [__m256i; 2]) {
-        for (half, sums) in sums.into_iter().enumerate() {
-            let lane = lane + half * 8;
-            let mut values = [0.0; 8];
-            // SAFETY: this function's conditions.
-            unsafe {
-                let factors = _mm256_loadu_ps(self.factors.as_ptr().add(lane));
-                let reals = _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors);
-                _mm256_storeu_ps(values.as_mut_ptr(), reals);
-            }
-            for (lane, value) in (lane..self.outputs).zip(values) {
-                self.out[lane * self.pixels + pixel] = value;
+    unsafe fn store<const COUNT: usize>(
+        &mut self,
+        pixel: usize,
+        lane: usize,
+        sums: [[__m256i; 2]; COUNT],
+    ) {
+        for (number, sums) in sums.into_iter().enumerate() {
+            for (half, sums) in sums.into_iter().enumerate() {
+                let lane = lane + half * 8;
+                let mut values = [0.0; 8];
+                // SAFETY: this function's conditions.
+                unsafe {
+                    let factors = _mm256_loadu_ps(self.factors.as_ptr().add(lane));
+                    let reals = _mm256_mul_ps(_mm256_cvtepi32_ps(sums), factors);
+                    _mm256_storeu_ps(values.as_mut_ptr(), reals);
+                }
+                for (lane, value) in (lane..self.outputs).zip(values) {
+                    self.out[lane * self.pixels + pixel + number] = value;
+                }
             }
         }
     }
@@ -235,16 +272,17 @@ unsafe fn dense<M: Multiply, const PIXELS: usize>(
                     next_weights: group * 4 * BLOCK,
                     pixel: 0,
                 };
-                let whole = row.pixels / PIXELS * PIXELS;
-                for pixel in (0..whole).step_by(PIXELS) {
-                    tile.pixel = pixel;
-                    for (number, sums) in M::sums::<PIXELS>(tile).into_iter().enumerate() {
-                        sink.store(pixel + number, lane, sums);
+                if row.pixels >= PIXELS {
+                    // The last tile is moved back onto pixels already done.
+                    for pixel in (0..row.pixels).step_by(PIXELS) {
+                        tile.pixel = pixel.min(row.pixels - PIXELS);
+                        sink.store(tile.pixel, lane, M::sums::<PIXELS>(tile));
                     }
-                }
-                for pixel in whole..row.pixels {
-                    tile.pixel = pixel;
-                    sink.store(pixel, lane, M::sums::<1>(tile)[0]);
+                } else {
+                    for pixel in 0..row.pixels {
+                        tile.pixel = pixel;
+                        sink.store(pixel, lane, M::sums::<1>(tile));
+                    }
                 }
             }
             lane += BLOCK;
