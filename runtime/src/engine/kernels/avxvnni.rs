@@ -7,6 +7,7 @@
 use std::arch::x86_64::*;
 
 use super::avx2::{self, Limits, Multiply, Tile, scaled};
+use super::few::{FEW, NARROW};
 use super::{Dense, Depthwise, Row, ToBytes};
 
 pub(super) use avx2::{add, quantize_four};
@@ -14,6 +15,8 @@ pub(super) use avx2::{add, quantize_four};
 /// Pixels of a tile: twelve accumulators hide the instruction's latency, and with weights and input fill 16 registers.
 const PIXELS: usize = 6;
 
+/// Pixels of a tile of few outputs: four registers of two.
+const FEW_PIXELS: usize = 8;
 /// Taps that one multiplication takes.
 const TAPS: usize = 4;
 /// Channels of a register.
@@ -25,7 +28,7 @@ const WIDE: usize = 32;
 /// `+ 3`; weights, starts and factors come in that order, and packing the results undoes it. Where only 16 channels are left
 /// they come twice, for two pixels at once.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Quads {
+pub(super) struct TapQuads {
     /// `[32 channels][quad][register]`.
     weights: Vec<Lanes<[i8; TAPS]>>,
     /// `[32 channels][register]`.
@@ -38,7 +41,7 @@ pub(super) struct Quads {
 #[repr(C, align(32))]
 struct Lanes<T>([T; 8]);
 
-impl Quads {
+impl TapQuads {
     pub(super) fn new(depthwise: &Depthwise) -> Self {
         let pitch = depthwise.pitch;
         let taps = depthwise.rows * depthwise.columns;
@@ -157,8 +160,75 @@ macro_rules! encoding {
             /// As [`dense_bytes`].
             #[target_feature(enable = $features)]
             pub(super) unsafe fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
-                // SAFETY: as this function's.
-                unsafe { avx2::floats::<Encoding, PIXELS>(packed, row, out) }
+                // SAFETY: as this function's; the weights of few outputs are of this row's convolution, of which one block has all
+                // outputs, and no other lane is written.
+                unsafe {
+                    match (packed.few(row, FEW_PIXELS), packed.outputs) {
+                        (Some(weights), 1) => few::<1>(packed, weights, row, out),
+                        (Some(weights), 2) => few::<2>(packed, weights, row, out),
+                        (Some(weights), 3) => few::<3>(packed, weights, row, out),
+                        (Some(weights), _) => few::<FEW>(packed, weights, row, out),
+                        (None, _) => avx2::floats::<Encoding, PIXELS>(packed, row, out),
+                    }
+                }
+            }
+
+            /// Few outputs: a register holds two pixels of one, each as four sums that are added up in the end.
+            ///
+            /// # Safety
+            /// As [`dense_bytes`]; there are `OUTPUTS` outputs, and `weights` are what [`Dense::few`] gave for the row and
+            /// [`FEW_PIXELS`].
+            #[target_feature(enable = $features)]
+            #[inline]
+            unsafe fn few<const OUTPUTS: usize>(
+                packed: &Dense,
+                weights: *const [i8; NARROW],
+                row: &Row<'_>,
+                out: &mut [f32],
+            ) {
+                let in_order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
+                for pixel in (0..row.pixels).step_by(FEW_PIXELS) {
+                    let pixel = pixel.min(row.pixels - FEW_PIXELS);
+                    let mut sums = [[_mm256_setzero_si256(); FEW_PIXELS / 2]; OUTPUTS];
+                    let mut weights = weights;
+                    for offset in row.runs {
+                        for tap in (0..packed.run).step_by(NARROW) {
+                            let at = row.base + offset + pixel * NARROW + tap;
+                            let mut input = [_mm256_setzero_si256(); FEW_PIXELS / 2];
+                            for (two, input) in input.iter_mut().enumerate() {
+                                // SAFETY: the tap's bytes of two pixels of the row, one after the other.
+                                *input = unsafe {
+                                    _mm256_loadu_si256(row.input.as_ptr().add(at + 32 * two).cast())
+                                };
+                            }
+                            for (output, sums) in sums.iter_mut().enumerate() {
+                                // SAFETY: each 16 bytes of each run have weights of each output.
+                                let of_tap = unsafe { _mm_loadu_si128(weights.add(output).cast()) };
+                                let of_tap = _mm256_broadcastsi128_si256(of_tap);
+                                for (sums, &input) in sums.iter_mut().zip(&input) {
+                                    *sums = $multiply(*sums, input, of_tap);
+                                }
+                            }
+                            // SAFETY: at most to the end of the weights.
+                            weights = unsafe { weights.add(OUTPUTS) };
+                        }
+                    }
+                    for (output, [a, b, c, d]) in sums.into_iter().enumerate() {
+                        // The even pixels, then the odd ones.
+                        let all =
+                            _mm256_hadd_epi32(_mm256_hadd_epi32(a, b), _mm256_hadd_epi32(c, d));
+                        // SAFETY: a start and a factor for each output, and eight pixels of its row.
+                        unsafe {
+                            let start = _mm256_set1_epi32(*packed.starts.get_unchecked(output));
+                            let factor = _mm256_set1_ps(*packed.factors.get_unchecked(output));
+                            let sum = _mm256_permutevar8x32_epi32(all, in_order);
+                            let sum = _mm256_add_epi32(sum, start);
+                            let value = _mm256_mul_ps(_mm256_cvtepi32_ps(sum), factor);
+                            let out = out.as_mut_ptr().add(output * row.pixels + pixel);
+                            _mm256_storeu_ps(out, value);
+                        }
+                    }
+                }
             }
 
             /// # Safety
@@ -196,13 +266,13 @@ macro_rules! encoding {
                 [number, channel]: [usize; 2],
                 out: &mut [u8],
             ) {
-                let Quads {
+                let TapQuads {
                     weights,
                     starts,
                     factors,
-                } = &packed.quads;
+                } = &packed.tap_quads;
                 let quads = row.runs.len().div_ceil(TAPS);
-                // SAFETY: `Quads::new` packed four vectors of starts and factors for every strip, and as many of weights for
+                // SAFETY: `TapQuads::new` packed four vectors of starts and factors for every strip, and as many of weights for
                 // each quad of its taps, of which the row has as many.
                 let (weights, starts, factors) = unsafe {
                     (

@@ -15,20 +15,37 @@
 
 use std::ops::RangeInclusive;
 
+/// A loop that the compiler cannot leave a loop: what it indexes are registers.
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+macro_rules! unrolled {
+    ($number:ident in $($value:literal)* $body:block) => {
+        $({
+            let $number = $value;
+            $body
+        })*
+    };
+}
+
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512vnni;
 #[cfg(target_arch = "x86_64")]
 mod avxvnni;
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+mod few;
 #[cfg(target_arch = "aarch64")]
 mod neon;
 mod portable;
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+mod quads;
 
 #[cfg(target_arch = "x86_64")]
-use avx512vnni::{Few, Interleaved};
+use avx512vnni::Interleaved;
 #[cfg(target_arch = "x86_64")]
-use avxvnni::Quads;
+use avxvnni::TapQuads;
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+use few::Few;
 #[cfg(target_arch = "aarch64")]
 use neon::depthwise::Interleaved;
 pub(crate) use portable::{
@@ -149,7 +166,7 @@ pub(crate) struct ToBytes {
 #[derive(Clone, Debug)]
 pub(crate) struct Dense {
     /// Of the lanes, those that are outputs.
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
     outputs: usize,
     /// Blocks that hold the output channels.
     blocks: usize,
@@ -160,7 +177,7 @@ pub(crate) struct Dense {
     packing: Packing,
     weights: Vec<i8>,
     /// The same in another order, where there are few outputs.
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
     few: Few,
     starts: Vec<i32>,
     factors: Vec<f32>,
@@ -198,10 +215,10 @@ impl Dense {
             }
             first += group;
         }
-        #[cfg(target_arch = "x86_64")]
+        #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
         let few = match kernel {
-            Kernel::Avx512Vnni => Few::new(outputs, runs, run, &weight),
-            _ => Few::default(),
+            Kernel::Portable | Kernel::Avx2 => Few::default(),
+            _ => Few::new(outputs, runs, run, &weight),
         };
         let padded = |length| length - outputs;
         let mut starts = starts.to_vec();
@@ -219,14 +236,14 @@ impl Dense {
         let mut factors = factors.to_vec();
         factors.extend(std::iter::repeat_n(0.0, padded(blocks * BLOCK)));
         Self {
-            #[cfg(target_arch = "x86_64")]
+            #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
             outputs,
             blocks,
             runs,
             run,
             packing,
             weights,
-            #[cfg(target_arch = "x86_64")]
+            #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
             few,
             starts,
             factors,
@@ -293,7 +310,7 @@ pub(crate) struct Depthwise {
     interleaved: Interleaved,
     /// As AVX-VNNI wants them; empty for other kernels.
     #[cfg(target_arch = "x86_64")]
-    quads: Quads,
+    tap_quads: TapQuads,
 }
 
 impl Depthwise {
@@ -326,15 +343,15 @@ impl Depthwise {
             #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
             interleaved: Interleaved::default(),
             #[cfg(target_arch = "x86_64")]
-            quads: Quads::default(),
+            tap_quads: TapQuads::default(),
         };
         #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
         if let Kernel::Avx512Vnni | Kernel::NeonDotprod | Kernel::NeonI8mm = kernel {
-            packed.interleaved = Interleaved::new(&packed);
+            packed.interleaved = Interleaved::new(kernel, &packed);
         }
         #[cfg(target_arch = "x86_64")]
         if kernel == Kernel::AvxVnni {
-            packed.quads = Quads::new(&packed);
+            packed.tap_quads = TapQuads::new(&packed);
         }
         #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
         let _ = (kernel, &mut packed);

@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::super::{BLOCK, Dense, Row, ToBytes};
-use super::{Limits, few, scaled, unrolled};
+use super::{Limits, few, scaled};
 
 /// Where a tile of a dense convolution starts.
 #[derive(Clone, Copy)]
@@ -269,9 +269,9 @@ pub(in super::super) unsafe fn dense_bytes(
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 pub(in super::super) unsafe fn dense_floats(dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
     let out = out.as_mut_ptr();
-    if few::takes(dense, row) {
+    if let Some(weights) = dense.few(row, few::PIXELS) {
         // SAFETY: passed on; one block has all outputs, and no other lane is written.
-        return unsafe { few::few_floats(dense, row, out) };
+        return unsafe { few::few_floats(dense, weights, row, out) };
     }
     channels!(dense, row, floats(out));
 }

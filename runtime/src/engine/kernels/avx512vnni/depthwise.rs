@@ -2,23 +2,21 @@
 
 use std::arch::x86_64::*;
 
-use super::super::{BLOCK, Depthwise, Row, ToBytes, avx2};
-use super::{Limits, scaled, unrolled};
+use super::super::quads::{TALL, has, quads};
+use super::super::{BLOCK, Depthwise, Kernel, Row, ToBytes, avx2};
+use super::{Limits, scaled};
 
 /// Channels that the depthwise kernel takes at a time.
 const WIDE: usize = 64;
-/// Rows of taps that one multiplication takes.
-const TALL: usize = 4;
 
-/// Weights of a depthwise convolution for `vpdpbusd`: four rows of taps are the four bytes of a lane. Of a fifth row they are
-/// its first four taps; the last is the fourth of the next pixel, or, with a stride of 2, its third.
+/// Weights of a depthwise convolution as [`quads`](super::super::quads) of 64 channels.
 ///
 /// Unpacking four rows of 64 channels byte by byte leaves, in register `j` and 128-bit lane `l`, the channels
 /// `16 l + 4 j` to `+ 3`; weights, starts and factors come in that order, and packing the results undoes it. Where only
 /// 32 or 16 channels are left they come twice or four times, for as many pixels at once.
 #[derive(Clone, Debug, Default)]
 pub(in super::super) struct Interleaved {
-    /// `[64 channels][register][quad]`: a quad for each column of four rows, then three for a fifth row.
+    /// `[64 channels][register][quad]`.
     weights: Vec<Lanes<[i8; TALL]>>,
     /// `[64 channels][register]`.
     starts: Vec<Lanes<i32>>,
@@ -31,15 +29,9 @@ pub(in super::super) struct Interleaved {
 #[repr(C, align(64))]
 struct Lanes<T>([T; BLOCK]);
 
-/// Vectors of weights for a register of channels.
-const fn quads(rows: usize) -> usize {
-    // Kernels are square.
-    if rows > TALL { rows + 3 } else { rows }
-}
-
 impl Interleaved {
-    /// Of the kernels that [`depthwise`] has; of others it stays empty.
-    pub(in super::super) fn new(depthwise: &Depthwise) -> Self {
+    /// Of kernels that have quads; of others it stays empty.
+    pub(in super::super) fn new(_: Kernel, depthwise: &Depthwise) -> Self {
         let Depthwise {
             pitch,
             rows,
@@ -50,27 +42,16 @@ impl Interleaved {
         if !has(rows, columns) {
             return packed;
         }
-        // Row and column of the tap that a byte of a quad multiplies.
-        let tap = |quad: usize, byte: usize| match quad.checked_sub(columns) {
-            None => (byte, quad),
-            Some(0) => (TALL, byte),
-            Some(stride) if byte + stride == TALL => (TALL, TALL),
-            Some(_) => (rows, 0),
-        };
         let order = |lane: usize| (lane / 16 * 4) + (lane % 16 / 4 * 16) + lane % 4;
         for (first, split) in strips(pitch) {
             let channels: [usize; WIDE] =
                 std::array::from_fn(|lane| first + order(lane) % (WIDE / split));
             for channels in channels.as_chunks::<BLOCK>().0 {
                 for quad in 0..quads(rows) {
-                    let weight = |channel: usize, byte| {
-                        let (row, column) = tap(quad, byte);
-                        let at = (row * columns + column) * pitch + channel;
-                        if row < rows { depthwise.weights[at] } else { 0 }
+                    let weights = |channel: usize| {
+                        std::array::from_fn(|byte| depthwise.in_quad(channel, quad, byte))
                     };
-                    packed.weights.push(Lanes(
-                        channels.map(|channel| std::array::from_fn(|byte| weight(channel, byte))),
-                    ));
+                    packed.weights.push(Lanes(channels.map(weights)));
                 }
                 let starts = channels.map(|channel| depthwise.starts[channel]);
                 packed.starts.push(Lanes(starts));
@@ -80,11 +61,6 @@ impl Interleaved {
         }
         packed
     }
-}
-
-/// Whether [`depthwise`] has a loop of its own for a kernel.
-fn has(rows: usize, columns: usize) -> bool {
-    rows == columns && matches!(rows, 3 | 5)
 }
 
 /// Four registers of 64 bytes, byte by byte in turns: of each 128-bit lane the first, second, third and fourth four.
@@ -445,19 +421,12 @@ pub(in super::super) unsafe fn depthwise(
     to: &ToBytes,
     out: &mut [u8],
 ) {
-    let &Depthwise {
-        pitch,
-        rows,
-        columns,
-        ..
-    } = depthwise;
-    // Without dilation neighbouring taps are neighbouring pixels.
-    let close = |line: &[usize]| line.windows(2).all(|taps| taps[0] + pitch == taps[1]);
+    let &Depthwise { pitch, rows, .. } = depthwise;
     let stride = row.step / pitch;
     let most_split = strips(pitch).map(|(_, split)| split).max().unwrap_or(1);
     let least = if rows > TALL { FIVE_PIXELS } else { 1 };
     if depthwise.interleaved.starts.is_empty()
-        || !row.runs.chunks(columns).all(close)
+        || !depthwise.is_close(row.runs)
         || !matches!(stride, 1 | 2)
         || row.pixels.div_ceil(most_split) < least
     {

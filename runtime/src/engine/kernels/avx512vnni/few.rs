@@ -1,60 +1,33 @@
-//! Dense convolutions of few outputs that leave as f32: the heads.
+//! Dense convolutions of few outputs that leave as f32.
 
 use std::arch::x86_64::*;
 
+use super::super::few::{FEW, NARROW};
 use super::super::{Dense, Row};
 
-/// Outputs that leave three quarters of a block of lanes empty.
-const FEW: usize = 4;
-/// Bytes of a pixel of input that is a 128-bit lane.
-const NARROW: usize = 16;
-const FEW_PIXELS: usize = 16;
-
-/// Weights of up to [`FEW`] outputs, `[run][16 bytes of it][output]`; empty where they are more, or runs no multiple of 16.
-#[derive(Clone, Debug, Default)]
-pub(in super::super) struct Few(Vec<[i8; NARROW]>);
-
-impl Few {
-    pub(in super::super) fn new(
-        outputs: usize,
-        runs: usize,
-        run: usize,
-        weight: impl Fn(usize, usize, usize) -> i8,
-    ) -> Self {
-        if outputs > FEW || !run.is_multiple_of(NARROW) {
-            return Self::default();
-        }
-        let mut few = Vec::with_capacity(runs * run / NARROW * outputs);
-        for number in 0..runs {
-            for start in (0..run).step_by(NARROW) {
-                few.extend((0..outputs).map(|output| {
-                    std::array::from_fn(|byte| weight(output, number, start + byte))
-                }));
-            }
-        }
-        Self(few)
-    }
-}
-
-/// Whether [`few_floats`] can make such a row.
-pub(super) fn takes(dense: &Dense, row: &Row<'_>) -> bool {
-    !dense.few.0.is_empty() && row.step == NARROW && row.pixels >= FEW_PIXELS
-}
+/// Pixels of a tile: four registers of four.
+pub(super) const PIXELS: usize = 16;
 
 /// Up to four outputs from pixels of 16 channels: the heads. A register holds four pixels of one output, each as four sums that are
 /// added up in the end, instead of sixteen outputs of one pixel of which most do not exist.
 ///
 /// # Safety
-/// As [`super::dense_bytes`]; the row passed `Dense::check`, and is one that is [taken](takes); `out` has room for the outputs' rows.
+/// As [`super::dense_bytes`]; the row passed `Dense::check`; `weights` are what [`Dense::few`] gave for it and [`PIXELS`]; `out` has
+/// room for the outputs' rows.
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
-pub(super) unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
+pub(super) unsafe fn few_floats(
+    dense: &Dense,
+    weights: *const [i8; NARROW],
+    row: &Row<'_>,
+    out: *mut f32,
+) {
     // SAFETY: passed on; no more outputs have weights of this kind.
     unsafe {
         match dense.outputs {
-            1 => few_of::<1>(dense, row, out),
-            2 => few_of::<2>(dense, row, out),
-            3 => few_of::<3>(dense, row, out),
-            _ => few_of::<FEW>(dense, row, out),
+            1 => few_of::<1>(dense, weights, row, out),
+            2 => few_of::<2>(dense, weights, row, out),
+            3 => few_of::<3>(dense, weights, row, out),
+            _ => few_of::<FEW>(dense, weights, row, out),
         }
     }
 }
@@ -63,15 +36,20 @@ pub(super) unsafe fn few_floats(dense: &Dense, row: &Row<'_>, out: *mut f32) {
 /// As [`few_floats`]; there are `OUTPUTS` outputs.
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 #[inline]
-unsafe fn few_of<const OUTPUTS: usize>(dense: &Dense, row: &Row<'_>, out: *mut f32) {
-    for pixel in (0..row.pixels).step_by(FEW_PIXELS) {
-        let pixel = pixel.min(row.pixels - FEW_PIXELS);
-        let mut sums = [[_mm512_setzero_si512(); FEW_PIXELS / 4]; OUTPUTS];
-        let mut weights = dense.few.0.as_ptr();
+unsafe fn few_of<const OUTPUTS: usize>(
+    dense: &Dense,
+    first_weights: *const [i8; NARROW],
+    row: &Row<'_>,
+    out: *mut f32,
+) {
+    for pixel in (0..row.pixels).step_by(PIXELS) {
+        let pixel = pixel.min(row.pixels - PIXELS);
+        let mut sums = [[_mm512_setzero_si512(); PIXELS / 4]; OUTPUTS];
+        let mut weights = first_weights;
         for offset in row.runs {
             for tap in (0..dense.run).step_by(NARROW) {
                 let at = row.base + offset + pixel * NARROW + tap;
-                let mut input = [_mm512_setzero_si512(); FEW_PIXELS / 4];
+                let mut input = [_mm512_setzero_si512(); PIXELS / 4];
                 for (four, input) in input.iter_mut().enumerate() {
                     // SAFETY: the tap's bytes of four pixels of the row, one after the other.
                     *input = unsafe {

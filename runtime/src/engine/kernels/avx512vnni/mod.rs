@@ -15,21 +15,8 @@ mod few;
 
 pub(super) use dense::{dense_bytes, dense_floats};
 pub(super) use depthwise::{Interleaved, depthwise};
-pub(super) use few::Few;
 
 const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
-
-/// A loop that the compiler cannot leave a loop: what it indexes are registers.
-macro_rules! unrolled {
-    ($number:ident in $($value:literal)* $body:block) => {
-        $({
-            let $number = $value;
-            $body
-        })*
-    };
-}
-
-use unrolled;
 
 /// Zero point and bounds of the output in every lane.
 #[derive(Clone, Copy)]

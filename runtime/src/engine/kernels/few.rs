@@ -1,0 +1,43 @@
+//! Dense convolutions of few outputs from pixels of 16 channels: the heads. Each output is summed up over a register of a pixel's
+//! channels, instead of sixteen outputs of which most do not exist.
+
+use super::{Dense, Row};
+
+/// Outputs that leave three quarters of a block of lanes empty.
+pub(super) const FEW: usize = 4;
+/// Bytes of a pixel of input that is a 128-bit lane.
+pub(super) const NARROW: usize = 16;
+
+/// Weights of up to [`FEW`] outputs, `[run][16 bytes of it][output]`; empty where they are more, or runs no multiple of 16.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Few(Vec<[i8; NARROW]>);
+
+impl Few {
+    pub(super) fn new(
+        outputs: usize,
+        runs: usize,
+        run: usize,
+        weight: impl Fn(usize, usize, usize) -> i8,
+    ) -> Self {
+        if outputs > FEW || !run.is_multiple_of(NARROW) {
+            return Self::default();
+        }
+        let mut few = Vec::with_capacity(runs * run / NARROW * outputs);
+        for number in 0..runs {
+            for start in (0..run).step_by(NARROW) {
+                few.extend((0..outputs).map(|output| {
+                    std::array::from_fn(|byte| weight(output, number, start + byte))
+                }));
+            }
+        }
+        Self(few)
+    }
+}
+
+impl Dense {
+    /// The weights of few outputs, where it has them and the row's pixels are as narrow, and `least` or more.
+    pub(super) fn few(&self, row: &Row<'_>, least: usize) -> Option<*const [i8; NARROW]> {
+        let fits = !self.few.0.is_empty() && row.step == NARROW && row.pixels >= least;
+        fits.then_some(self.few.0.as_ptr())
+    }
+}
