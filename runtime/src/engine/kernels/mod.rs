@@ -132,11 +132,19 @@ impl Kernel {
         }
     }
 
+    /// The least weight that its dense convolutions take; NEON without the dot product adds two products in 16 bits.
+    pub(crate) fn least_weight(self) -> i8 {
+        match self {
+            Kernel::Neon => -127,
+            _ => i8::MIN,
+        }
+    }
+
     /// How it wants the weights of dense convolutions.
     fn packing(self) -> Packing {
         let (bytes, group) = match self {
             Kernel::Portable | Kernel::Avx2 | Kernel::AvxVnni | Kernel::Avx512Vnni => (4, 4),
-            Kernel::Neon => (1, 1),
+            Kernel::Neon => (16, 1),
             Kernel::NeonDotprod => (4, 1),
             Kernel::NeonI8mm => (8, 1),
         };
@@ -222,8 +230,8 @@ impl Dense {
         };
         let padded = |length| length - outputs;
         let mut starts = starts.to_vec();
-        if kernel == Kernel::NeonDotprod {
-            // It multiplies signed bytes, `x - 128`.
+        if let Kernel::Neon | Kernel::NeonDotprod = kernel {
+            // They multiply signed bytes, `x - 128`.
             for (output, start) in starts.iter_mut().enumerate() {
                 let all = (0..runs).flat_map(|number| (0..run).map(move |byte| (number, byte)));
                 let sum: i32 = all

@@ -13,7 +13,7 @@ pub(super) fn depthwise(
     input: &Buffer,
 ) -> (Depthwise, Vec<usize>) {
     let window = &convolution.window;
-    let parts = parts(convolution);
+    let parts = parts(convolution, i8::MIN);
     let [rows, columns] = window.kernel;
     let taps = (0..parts * rows).flat_map(|row| {
         (0..columns).map(move |column| {
@@ -26,7 +26,9 @@ pub(super) fn depthwise(
         .flat_map(|output| {
             (0..parts).flat_map(move |number| {
                 let filter = convolution.filter(output);
-                filter.iter().map(move |&weight| part(weight, number))
+                filter
+                    .iter()
+                    .map(move |&weight| part(weight, number, i8::MIN))
             })
         })
         .collect();
@@ -56,7 +58,12 @@ pub(super) fn dense(
         .unzip();
     let [rows, columns] = window.kernel;
     let channels = inputs.next_multiple_of(4);
-    let parts = convolutions.iter().map(|c| parts(c)).max().unwrap_or(1);
+    let least = kernel.least_weight();
+    let parts = convolutions
+        .iter()
+        .map(|c| parts(c, least))
+        .max()
+        .unwrap_or(1);
     // Neighbouring taps of a row are neighbours in memory: one run.
     let (runs, run): (Vec<usize>, usize) = if window.dilations[1] == 1 {
         let starts = (0..rows).map(|row| row * window.dilations[0] * input.row_bytes());
@@ -83,7 +90,7 @@ pub(super) fn dense(
             if output < convolution.outputs {
                 let at = (channel * rows + row) * columns + column;
                 return if channel < *inputs {
-                    part(convolution.filter(output)[at], again)
+                    part(convolution.filter(output)[at], again, least)
                 } else {
                     0
                 };
@@ -110,9 +117,9 @@ pub(super) fn dense(
     )
 }
 
-/// Weights of two's complement bytes that make up each weight: two where one is not enough.
-fn parts(convolution: &Convolution) -> usize {
-    let fits = |&weight: &i16| i8::try_from(weight).is_ok();
+/// Bytes that make up each weight, none below `least`: two where one is not enough.
+fn parts(convolution: &Convolution, least: i8) -> usize {
+    let fits = |&weight: &i16| part(weight, 1, least) == 0;
     if convolution.weights.iter().all(fits) {
         1
     } else {
@@ -120,9 +127,9 @@ fn parts(convolution: &Convolution) -> usize {
     }
 }
 
-/// One of the weights that make up `weight`, which is from -255 to 255.
-fn part(weight: i16, number: usize) -> i8 {
-    let first = weight.clamp(-128, 127);
+/// One of the bytes that make up `weight`, which is from -255 to 255.
+fn part(weight: i16, number: usize, least: i8) -> i8 {
+    let first = weight.clamp(i16::from(least), i16::from(i8::MAX));
     match number {
         0 => first as i8,
         _ => (weight - first) as i8,

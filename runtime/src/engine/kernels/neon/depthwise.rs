@@ -1,10 +1,10 @@
-//! Depthwise convolutions: with `smlal`, tap by tap, and with the dot product, four rows of taps at a time.
+//! Depthwise convolutions: with dot products four rows of taps at a time, and else with `smlal`, tap by tap.
 
 use std::arch::aarch64::*;
-use std::arch::asm;
 
-use super::{Limits, PIXELS, lanes, scaled, widen};
-use crate::engine::kernels::{BLOCK, Depthwise, Row, ToBytes};
+use super::{Limits, Multiply, PIXELS, lanes, scaled, widen};
+use crate::engine::kernels::quads::{TALL, has, quads};
+use crate::engine::kernels::{BLOCK, Depthwise, Kernel, Row, ToBytes};
 
 /// Adds the products of sixteen lanes.
 #[inline]
@@ -19,14 +19,11 @@ fn multiply_add(sums: &mut [int32x4_t; 4], bytes: [int16x8_t; 2], weights: [int1
     }
 }
 
+/// Tap by tap, any kernel.
+///
 /// # Safety
 /// The row passed `Depthwise::check`.
-pub(in crate::engine::kernels) unsafe fn plain(
-    packed: &Depthwise,
-    row: &Row<'_>,
-    to: &ToBytes,
-    out: &mut [u8],
-) {
+unsafe fn plain(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
     let limits = Limits::new(to);
     let pitch = packed.pitch;
     for channel in (0..pitch).step_by(BLOCK) {
@@ -67,48 +64,41 @@ pub(in crate::engine::kernels) unsafe fn plain(
     }
 }
 
-/// Rows of taps that one dot product takes.
-const TALL: usize = 4;
-
-/// Weights for the dot product: four rows of taps are the four bytes of a lane. It multiplies `x - 128`.
+/// Weights of a depthwise convolution as [`quads`](super::super::quads) of 16 channels.
 #[derive(Clone, Debug, Default)]
 pub(in crate::engine::kernels) struct Interleaved {
-    /// `[16 channels][4 rows][column][channel][row]`.
+    /// `[16 channels][quad][channel][byte]`.
     weights: Vec<i8>,
     starts: Vec<i32>,
 }
 
 impl Interleaved {
-    pub(in crate::engine::kernels) fn new(depthwise: &Depthwise) -> Self {
-        let Depthwise {
+    /// Of kernels that have quads; of others it stays empty.
+    pub(in crate::engine::kernels) fn new(kernel: Kernel, depthwise: &Depthwise) -> Self {
+        let &Depthwise {
             pitch,
             rows,
             columns,
             ..
-        } = *depthwise;
-        let weight = |channel: usize, row: usize, column: usize| {
-            let tap = row * columns + column;
-            if row < rows {
-                depthwise.weights[tap * pitch + channel]
-            } else {
-                0
-            }
-        };
-        let mut packed = Self {
-            weights: Vec::new(),
-            starts: depthwise.starts.clone(),
-        };
+        } = depthwise;
+        let mut packed = Self::default();
+        if !has(rows, columns) {
+            return packed;
+        }
         for first in (0..pitch).step_by(BLOCK) {
-            for top in (0..rows).step_by(TALL) {
-                for column in 0..columns {
-                    for channel in first..first + BLOCK {
-                        for row in top..top + TALL {
-                            let weight = weight(channel, row, column);
-                            packed.weights.push(weight);
-                            let start = &mut packed.starts[channel];
-                            *start = start.wrapping_add(128 * i32::from(weight));
-                        }
-                    }
+            for quad in 0..quads(rows) {
+                for channel in first..first + BLOCK {
+                    let weight = |byte| depthwise.in_quad(channel, quad, byte);
+                    packed.weights.extend((0..TALL).map(weight));
+                }
+            }
+        }
+        packed.starts.clone_from(&depthwise.starts);
+        if kernel == Kernel::NeonDotprod {
+            // It multiplies signed bytes, `x - 128`.
+            for taps in depthwise.weights.chunks_exact(pitch) {
+                for (start, &weight) in packed.starts.iter_mut().zip(taps) {
+                    *start = start.wrapping_add(128 * i32::from(weight));
                 }
             }
         }
@@ -116,146 +106,232 @@ impl Interleaved {
     }
 }
 
-/// Adds to each lane the products of its four weights and four bytes.
-#[target_feature(enable = "neon,dotprod")]
-#[inline]
-fn sdot(sums: int32x4_t, weights: int8x16_t, bytes: int8x16_t) -> int32x4_t {
-    let mut sums = sums;
-    // SAFETY: it touches nothing but these registers, and the processor has it. The intrinsic is not stable yet.
-    unsafe {
-        asm!("sdot {0:v}.4s, {1:v}.16b, {2:v}.16b",
-            inout(vreg) sums, in(vreg) weights, in(vreg) bytes,
-            options(pure, nomem, nostack, preserves_flags));
-    }
-    sums
+/// Four registers of bytes, in turns: of the first four, the next and so on.
+#[inline(always)]
+fn interleaved([a, b, c, d]: [uint8x16_t; TALL]) -> [uint8x16_t; 4] {
+    words(pair(a, b), pair(c, d))
 }
 
-/// Sixteen channels of a row of output.
-struct Strip<'a> {
-    depthwise: &'a Depthwise,
-    row: &'a Row<'a>,
-    channel: usize,
+/// Two registers, byte by byte in turns.
+#[inline(always)]
+fn pair(one: uint8x16_t, other: uint8x16_t) -> [uint16x8_t; 2] {
+    // SAFETY: every aarch64 has NEON.
+    unsafe {
+        [vzip1q_u8(one, other), vzip2q_u8(one, other)].map(|bytes| vreinterpretq_u16_u8(bytes))
+    }
+}
+
+/// Two pairs, word by word in turns.
+#[inline(always)]
+fn words(one: [uint16x8_t; 2], other: [uint16x8_t; 2]) -> [uint8x16_t; 4] {
+    // SAFETY: every aarch64 has NEON.
+    unsafe {
+        [
+            vzip1q_u16(one[0], other[0]),
+            vzip2q_u16(one[0], other[0]),
+            vzip1q_u16(one[1], other[1]),
+            vzip2q_u16(one[1], other[1]),
+        ]
+        .map(|words| vreinterpretq_u8_u16(words))
+    }
+}
+
+/// Most rows of taps.
+const MOST: usize = 5;
+
+/// Sixteen channels of a row.
+struct Strip {
+    /// The first tap of each row of taps of the first pixel.
+    rows: [*const u8; MOST],
+    pixels: usize,
+    /// Bytes of a pixel of input and output.
+    pitch: usize,
+    /// Of this strip: `[quad][register]`, `[register]`, `[register]`.
+    weights: *const i8,
+    starts: *const i32,
+    factors: *const f32,
     limits: Limits,
     out: *mut u8,
 }
 
-impl Strip<'_> {
-    /// Up to four rows of one column of input: byte `row` of lane `i` of register `j` is that of channel `4 j + i`.
+impl Strip {
+    /// Sixteen channels of a pixel of input.
     ///
     /// # Safety
-    /// The first `count` of `rows` point to sixteen bytes of input.
-    #[target_feature(enable = "neon,dotprod")]
-    #[inline]
-    unsafe fn column(rows: [*const u8; TALL], count: usize) -> [int8x16_t; 4] {
-        let mut bytes = [vdupq_n_s8(0); TALL];
-        for (bytes, row) in bytes.iter_mut().zip(rows).take(count) {
-            // SAFETY: as this function's.
-            *bytes = vreinterpretq_s8_u8(veorq_u8(unsafe { vld1q_u8(row) }, vdupq_n_u8(128)));
-        }
-        let [a, b, c, d] = bytes;
-        let wide = |bytes| vreinterpretq_s16_s8(bytes);
-        let (low, high) = (wide(vzip1q_s8(a, b)), wide(vzip2q_s8(a, b)));
-        let (low2, high2) = (wide(vzip1q_s8(c, d)), wide(vzip2q_s8(c, d)));
-        [
-            vzip1q_s16(low, low2),
-            vzip2q_s16(low, low2),
-            vzip1q_s16(high, high2),
-            vzip2q_s16(high, high2),
-        ]
-        .map(|pairs| vreinterpretq_s8_s16(pairs))
+    /// `at` leads from the row's first tap to a tap of one of its pixels.
+    #[inline(always)]
+    unsafe fn load<M: Multiply>(&self, row: usize, at: usize) -> uint8x16_t {
+        // SAFETY: as this function's.
+        M::input(unsafe { vld1q_u8(self.rows[row].add(at)) })
     }
 
-    /// `COUNT` pixels from `pixel` on, of a kernel of `SIDE x SIDE` without dilation that moves by `STRIDE`.
+    /// # Safety
+    /// There is such a quad, and four registers.
+    #[inline(always)]
+    unsafe fn weight(&self, register: usize, quad: usize) -> int8x16_t {
+        // SAFETY: as this function's.
+        unsafe { vld1q_s8(self.weights.add((4 * quad + register) * BLOCK)) }
+    }
+
+    /// # Safety
+    /// There is such a pixel.
+    #[inline(always)]
+    unsafe fn store(&self, sums: [int32x4_t; 4], pixel: usize) {
+        // SAFETY: sixteen factors; `out` has room for the pixels.
+        unsafe {
+            let bytes = self.limits.pack(scaled(sums, self.factors));
+            vst1q_u8(self.out.add(pixel * self.pitch), bytes);
+        }
+    }
+
+    /// 3x3, as a window that moves over the columns: each is unpacked once and goes into the sums of all pixels that it belongs to,
+    /// while weights and sums stay in registers.
     ///
     /// # Safety
-    /// The row passed `Depthwise::check`, has `SIDE * SIDE` taps at regular distances and the pixels, and `out` has room
-    /// for them.
-    #[target_feature(enable = "neon,dotprod")]
-    #[inline]
-    unsafe fn run<const SIDE: usize, const STRIDE: usize, const COUNT: usize>(&self, pixel: usize) {
-        let Depthwise {
-            pitch, interleaved, ..
-        } = self.depthwise;
-        let Row {
-            input,
-            base,
-            runs,
-            step,
-            ..
-        } = *self.row;
-        // SAFETY: `Interleaved::new` packed as many for every sixteen channels.
-        let (weights, starts, factors) = unsafe {
-            let of_block = SIDE.div_ceil(TALL) * SIDE * TALL * BLOCK;
-            (
-                interleaved
-                    .weights
-                    .as_ptr()
-                    .add(self.channel / BLOCK * of_block),
-                lanes(interleaved.starts.as_ptr().add(self.channel)),
-                self.depthwise.factors.as_ptr().add(self.channel),
-            )
+    /// As [`row`]; the kernel is 3x3 and moves by `STRIDE`.
+    #[inline(always)]
+    unsafe fn three<M: Multiply, const STRIDE: usize>(&self) {
+        // SAFETY: three quads of four registers, four of starts.
+        let (weights, starts) = unsafe {
+            let quad = |quad: usize| [0, 1, 2, 3].map(|j| self.weight(j, quad));
+            ([quad(0), quad(1), quad(2)], self.starts)
         };
-        let mut sums = [starts; COUNT];
-        let start = base + pixel * step + self.channel;
-        for top in (0..SIDE).step_by(TALL) {
-            let count = TALL.min(SIDE - top);
-            for column in 0..(COUNT - 1) * STRIDE + SIDE {
-                // SAFETY: pixel by pixel along the row: each is the tap of some output pixel of the tile, and so in the
-                // input; rows of taps that do not exist are not read.
-                let bytes = unsafe {
-                    let at = input.as_ptr().add(start + column * pitch);
-                    let row = |number: usize| at.add(runs[(top + number).min(SIDE - 1) * SIDE]);
-                    Self::column([row(0), row(1), row(2), row(3)], count)
-                };
-                for (pixel, sums) in sums.iter_mut().enumerate() {
-                    let tap = column.wrapping_sub(pixel * STRIDE);
-                    if tap >= SIDE {
-                        continue;
-                    }
-                    for (quarter, sums) in sums.iter_mut().enumerate() {
-                        // SAFETY: four vectors of weights for each column of four rows.
-                        let weights = unsafe {
-                            let column = top / TALL * SIDE + tap;
-                            vld1q_s8(weights.add((column * 4 + quarter) * BLOCK))
-                        };
-                        *sums = sdot(*sums, weights, bytes[quarter]);
-                    }
+        // SAFETY: every aarch64 has NEON.
+        let mut sums = [[unsafe { vdupq_n_s32(0) }; 4]; 3];
+        let (mut at, mut pixel) = (0, 0);
+        macro_rules! column {
+            ($($tap:literal of $sums:literal),*) => {
+                // SAFETY: a column of a pixel that is still to be written; the processor has the instructions.
+                unsafe {
+                    let last = self.load::<M>(2, at);
+                    let four = interleaved([self.load::<M>(0, at), self.load::<M>(1, at), last, last]);
+                    at += self.pitch;
+                    $(
+                        if $tap == 0 {
+                            sums[$sums] = lanes(starts);
+                        }
+                        unrolled!(j in 0 1 2 3 {
+                            sums[$sums][j] = M::products(sums[$sums][j], four[j], weights[$tap][j]);
+                        });
+                    )*
                 }
+            };
+        }
+        macro_rules! done {
+            ($sums:literal) => {
+                // SAFETY: there is such a pixel.
+                unsafe { self.store(sums[$sums], pixel) };
+                pixel += 1;
+                if pixel == self.pixels {
+                    return;
+                }
+            };
+        }
+        column!(0 of 0);
+        if STRIDE == 1 {
+            column!(1 of 0, 0 of 1);
+            loop {
+                column!(2 of 0, 1 of 1, 0 of 2);
+                done!(0);
+                column!(2 of 1, 1 of 2, 0 of 0);
+                done!(1);
+                column!(2 of 2, 1 of 0, 0 of 1);
+                done!(2);
             }
         }
-        for (number, sums) in sums.into_iter().enumerate() {
-            // SAFETY: sixteen factors; `out` has room.
-            unsafe {
-                let out = self.out.add((pixel + number) * pitch + self.channel);
-                vst1q_u8(out, self.limits.pack(scaled(sums, factors)));
-            }
+        loop {
+            column!(1 of 0);
+            column!(2 of 0, 0 of 1);
+            done!(0);
+            column!(1 of 1);
+            column!(2 of 1, 0 of 0);
+            done!(1);
         }
     }
 
-    /// The whole row, in tiles of which the last is moved back onto pixels already done.
+    /// 5x5, in tiles of `COUNT` pixels, the last one moved back onto pixels already done; one by one in a shorter row.
     ///
     /// # Safety
-    /// As [`Strip::run`], for the whole row.
-    #[target_feature(enable = "neon,dotprod")]
-    unsafe fn all<const SIDE: usize, const STRIDE: usize>(&self) {
-        let pixels = self.row.pixels;
+    /// As [`row`]; the kernel is 5x5 and moves by `STRIDE`.
+    #[inline(always)]
+    unsafe fn five<M: Multiply, const STRIDE: usize, const COUNT: usize>(&self) {
         // SAFETY: all tiles lie in the row.
         unsafe {
-            if pixels < PIXELS {
-                (0..pixels).for_each(|pixel| self.run::<SIDE, STRIDE, 1>(pixel));
+            if self.pixels < COUNT {
+                for pixel in 0..self.pixels {
+                    self.five_tile::<M, STRIDE, 1>(pixel);
+                }
                 return;
             }
-            for pixel in (0..pixels).step_by(PIXELS) {
-                self.run::<SIDE, STRIDE, PIXELS>(pixel.min(pixels - PIXELS));
+            for pixel in (0..self.pixels).step_by(COUNT) {
+                self.five_tile::<M, STRIDE, COUNT>(pixel.min(self.pixels - COUNT));
+            }
+        }
+    }
+
+    /// # Safety
+    /// As [`Strip::five`]; the row has so many pixels from `pixel` on.
+    #[inline(always)]
+    unsafe fn five_tile<M: Multiply, const STRIDE: usize, const COUNT: usize>(&self, pixel: usize) {
+        const SIDE: usize = 5;
+        // As far as the loops below are written out.
+        const {
+            assert!((COUNT - 1) * STRIDE + SIDE <= 8 && COUNT <= 4);
+        }
+        // SAFETY: each column of the tile is the tap of some output pixel of it; the kernel has such quads, and four registers of
+        // starts; the processor has the instructions.
+        unsafe {
+            let at = |row: usize, column: usize| {
+                self.load::<M>(row, (pixel * STRIDE + column) * self.pitch)
+            };
+            let mut sums = [lanes(self.starts); COUNT];
+            unrolled!(column in 0 1 2 3 4 5 6 7 {
+                if column < (COUNT - 1) * STRIDE + SIDE {
+                    let four = interleaved([at(0, column), at(1, column), at(2, column), at(3, column)]);
+                    unrolled!(pixel in 0 1 2 3 {
+                        if pixel < COUNT && column >= pixel * STRIDE && column < pixel * STRIDE + SIDE {
+                            let tap = column - pixel * STRIDE;
+                            unrolled!(j in 0 1 2 3 {
+                                sums[pixel][j] = M::products(sums[pixel][j], four[j], self.weight(j, tap));
+                            });
+                        }
+                    });
+                }
+            });
+            // The fifth row, four columns to a lane, from each output pixel's first column on, and from the next one's.
+            let last = (COUNT - 1) * STRIDE + SIDE - 1;
+            let fifth = |column: usize| at(SIDE - 1, column.min(last));
+            unrolled!(start in 0 1 2 3 4 {
+                if start <= COUNT {
+                    let first = start * STRIDE;
+                    let four = words(
+                        pair(fifth(first), fifth(first + 1)),
+                        pair(fifth(first + 2), fifth(first + 3)),
+                    );
+                    unrolled!(j in 0 1 2 3 {
+                        if start < COUNT {
+                            sums[start][j] = M::products(sums[start][j], four[j], self.weight(j, SIDE));
+                        }
+                        if let Some(before) = usize::checked_sub(start, 1) {
+                            let weight = self.weight(j, SIDE + STRIDE);
+                            sums[before][j] = M::products(sums[before][j], four[j], weight);
+                        }
+                    });
+                }
+            });
+            for (number, sums) in sums.into_iter().enumerate() {
+                self.store(sums, pixel + number);
             }
         }
     }
 }
 
+/// A row. Inlined into a function that has the instructions.
+///
 /// # Safety
-/// The processor has the dot product, the row passed `Depthwise::check`, and `out` has room for it.
-#[target_feature(enable = "neon,dotprod")]
-pub(in crate::engine::kernels) unsafe fn dotprod(
+/// The processor has the instructions of `M`, the row passed `Depthwise::check`, and `out` has room for it.
+#[inline(always)]
+pub(super) unsafe fn row<M: Multiply>(
     packed: &Depthwise,
     row: &Row<'_>,
     to: &ToBytes,
@@ -263,32 +339,45 @@ pub(in crate::engine::kernels) unsafe fn dotprod(
 ) {
     let Depthwise {
         pitch,
-        rows,
-        columns,
+        rows: side,
+        ref interleaved,
         ..
     } = *packed;
-    let (limits, stride) = (Limits::new(to), row.step / pitch);
-    // Without dilation neighbouring taps are neighbouring pixels.
-    let close = columns > 1 && row.runs[1] - row.runs[0] == pitch;
-    if !close || !matches!((rows, columns, stride), (3, 3, 1 | 2) | (5, 5, 1 | 2)) {
+    let stride = row.step / pitch;
+    if !M::DOT
+        || interleaved.weights.is_empty()
+        || !packed.is_close(row.runs)
+        || !matches!(stride, 1 | 2)
+        || row.pixels == 0
+    {
         // SAFETY: as this function's.
         return unsafe { plain(packed, row, to, out) };
     }
+    let limits = Limits::new(to);
     for channel in (0..pitch).step_by(BLOCK) {
-        let strip = Strip {
-            depthwise: packed,
-            row,
-            channel,
-            limits,
-            out: out.as_mut_ptr(),
-        };
-        // SAFETY: as this function's; side and stride are the row's own.
+        // SAFETY: the first tap of each row of taps, and for a row that the kernel does not have of its last, is in the row's input;
+        // `Interleaved::new` packed four vectors of starts and factors for every strip, and four times `quads` of weights; side and
+        // stride are the row's own.
         unsafe {
-            match (rows, stride) {
-                (3, 1) => strip.all::<3, 1>(),
-                (3, _) => strip.all::<3, 2>(),
-                (_, 1) => strip.all::<5, 1>(),
-                _ => strip.all::<5, 2>(),
+            let of_strip = quads(side) * TALL * BLOCK;
+            let strip = Strip {
+                rows: [0, 1, 2, 3, 4].map(|line: usize| {
+                    let tap = row.runs.get_unchecked(line.min(side - 1) * side);
+                    row.input.as_ptr().add(row.base + tap + channel)
+                }),
+                pixels: row.pixels,
+                pitch,
+                weights: interleaved.weights.as_ptr().add(channel / BLOCK * of_strip),
+                starts: interleaved.starts.as_ptr().add(channel),
+                factors: packed.factors.as_ptr().add(channel),
+                limits,
+                out: out.as_mut_ptr().add(channel),
+            };
+            match (side, stride) {
+                (3, 1) => strip.three::<M, 1>(),
+                (3, _) => strip.three::<M, 2>(),
+                (_, 1) => strip.five::<M, 1, 4>(),
+                _ => strip.five::<M, 2, 2>(),
             }
         }
     }

@@ -3,6 +3,7 @@
 
 use std::arch::aarch64::*;
 
+use super::few::NARROW;
 use super::{Addition, BLOCK, Dense, Row, ToBytes, portable};
 
 pub(super) mod depthwise;
@@ -13,45 +14,44 @@ pub(super) mod plain;
 /// Pixels of a tile: sixteen accumulators, which hide the latency and leave registers for weights and input.
 const PIXELS: usize = 4;
 
-/// Zero point and bounds of the output in every lane. Clamped before rounding and before the zero point is added, which
-/// also sends NaN to the lower bound.
+/// Zero point and bounds of the output in every lane.
 #[derive(Clone, Copy)]
 struct Limits {
+    /// Whether the zero point is 0 and no byte is out of bounds, as after most clipped layers.
+    plain: bool,
     zero: int16x8_t,
-    low: float32x4_t,
-    high: float32x4_t,
+    low: uint8x16_t,
+    high: uint8x16_t,
 }
 
 impl Limits {
     #[inline]
     fn new(to: &ToBytes) -> Self {
-        let bound = |byte: u8| f32::from(byte) - f32::from(to.zero);
         // SAFETY: every aarch64 has NEON.
         unsafe {
             Self {
+                plain: to.zero == 0 && to.range == (0..=u8::MAX),
                 zero: vdupq_n_s16(i16::from(to.zero)),
-                low: vdupq_n_f32(bound(*to.range.start())),
-                high: vdupq_n_f32(bound(*to.range.end())),
+                low: vdupq_n_u8(*to.range.start()),
+                high: vdupq_n_u8(*to.range.end()),
             }
         }
     }
 
-    /// `rne(value)` in bounds, without the zero point.
-    #[inline]
-    fn round(&self, value: float32x4_t) -> int32x4_t {
-        // SAFETY: every aarch64 has NEON.
-        unsafe { vcvtnq_s32_f32(vminnmq_f32(vmaxnmq_f32(value, self.low), self.high)) }
-    }
-
-    /// Sixteen values as bytes.
+    /// Sixteen values as bytes. Each narrowing saturates, and so brings what is far out of bounds to the bound that it is beyond.
     #[inline]
     fn pack(&self, values: [float32x4_t; 4]) -> uint8x16_t {
-        let [a, b, c, d] = values.map(|value| self.round(value));
         // SAFETY: every aarch64 has NEON.
         unsafe {
-            let one = vaddq_s16(vmovn_high_s32(vmovn_s32(a), b), self.zero);
-            let other = vaddq_s16(vmovn_high_s32(vmovn_s32(c), d), self.zero);
-            vreinterpretq_u8_s8(vmovn_high_s16(vmovn_s16(one), other))
+            let [a, b, c, d] = values.map(|value| vcvtnq_s32_f32(value));
+            let one = vqmovn_high_s32(vqmovn_s32(a), b);
+            let other = vqmovn_high_s32(vqmovn_s32(c), d);
+            if self.plain {
+                return vqmovun_high_s16(vqmovun_s16(one), other);
+            }
+            let (one, other) = (vqaddq_s16(one, self.zero), vqaddq_s16(other, self.zero));
+            let bytes = vqmovun_high_s16(vqmovun_s16(one), other);
+            vminq_u8(vmaxq_u8(bytes, self.low), self.high)
         }
     }
 }
@@ -138,6 +138,13 @@ unsafe fn quad(from: *const u8) -> uint8x8_t {
     unsafe { vcreate_u8(u64::from(from.cast::<u32>().read_unaligned())) }
 }
 
+/// `x - 128`, as a signed byte.
+#[inline(always)]
+fn signed(bytes: uint8x16_t) -> uint8x16_t {
+    // SAFETY: every aarch64 has NEON.
+    unsafe { veorq_u8(bytes, vdupq_n_u8(128)) }
+}
+
 /// The instructions that multiply.
 trait Multiply {
     /// Accumulators of a tile of `COUNT` pixels.
@@ -145,6 +152,21 @@ trait Multiply {
     /// # Safety
     /// The processor has the instructions, the row passed `Dense::check`, and the tile lies in it.
     unsafe fn sums<const COUNT: usize>(tile: Tile<'_>) -> [[int32x4_t; 4]; COUNT];
+
+    /// Whether the products that are added to a sum are those of its four bytes.
+    const DOT: bool;
+
+    /// Input as [`Multiply::products`] takes it.
+    #[inline(always)]
+    fn input(bytes: uint8x16_t) -> uint8x16_t {
+        bytes
+    }
+
+    /// Adds sixteen products to four sums; a dot product adds to each those of its four bytes.
+    ///
+    /// # Safety
+    /// The processor has the instructions.
+    unsafe fn products(sums: int32x4_t, input: uint8x16_t, weights: int8x16_t) -> int32x4_t;
 }
 
 /// Calls `store(pixel, lane, values)` for each block of each pixel. A row ends in a tile that is moved back onto pixels
@@ -158,6 +180,8 @@ unsafe fn dense<M: Multiply>(
     row: &Row<'_>,
     mut store: impl FnMut(usize, usize, [float32x4_t; 4]),
 ) {
+    // The compiler has two copies of the accumulators where there may be none.
+    assert!(!row.runs.is_empty());
     for block in 0..dense.blocks {
         let lane = block * BLOCK;
         let mut tile = Tile {
@@ -214,8 +238,14 @@ unsafe fn bytes<M: Multiply>(
 /// As [`dense`].
 #[inline(always)]
 unsafe fn floats<M: Multiply>(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
-    // SAFETY: as this function's.
+    // SAFETY: as this function's; the weights of few outputs are of this row's convolution.
     unsafe {
+        if let Some(weights) = packed.few(row, PIXELS) {
+            for output in 0..packed.outputs {
+                few::<M>(packed, weights.add(output), output, row, out);
+            }
+            return;
+        }
         dense::<M>(packed, row, |pixel, lane, values| {
             for (quarter, values) in values.into_iter().enumerate() {
                 let mut reals = [0.0; 4];
@@ -228,10 +258,49 @@ unsafe fn floats<M: Multiply>(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
     }
 }
 
+/// One of few outputs: each pixel as four sums that are added up in the end. Inlined into a function that has the instructions.
+///
+/// # Safety
+/// As [`dense`]; `weights` are this output's first of those that [`Dense::few`] gave for the row and [`PIXELS`].
+#[inline(always)]
+unsafe fn few<M: Multiply>(
+    packed: &Dense,
+    weights: *const [i8; NARROW],
+    output: usize,
+    row: &Row<'_>,
+    out: &mut [f32],
+) {
+    for pixel in (0..row.pixels).step_by(PIXELS) {
+        let pixel = pixel.min(row.pixels - PIXELS);
+        // SAFETY: sixteen bytes of each tap of the pixels of the row, and as many weights of each output; a start and a factor for
+        // each output, and four pixels of its row.
+        unsafe {
+            let mut sums = [vdupq_n_s32(0); PIXELS];
+            let mut weights = weights;
+            for offset in row.runs {
+                for tap in (0..packed.run).step_by(NARROW) {
+                    let of_tap = vld1q_s8(weights.cast());
+                    let at = row.base + offset + pixel * NARROW + tap;
+                    for (number, sums) in sums.iter_mut().enumerate() {
+                        let input = vld1q_u8(row.input.as_ptr().add(at + NARROW * number));
+                        *sums = M::products(*sums, M::input(input), of_tap);
+                    }
+                    weights = weights.add(packed.outputs);
+                }
+            }
+            let [a, b, c, d] = sums;
+            let sums = vpaddq_s32(vpaddq_s32(a, b), vpaddq_s32(c, d));
+            let start = vdupq_n_s32(*packed.starts.get_unchecked(output));
+            let factor = *packed.factors.get_unchecked(output);
+            let values = vmulq_n_f32(vcvtq_f32_s32(vaddq_s32(sums, start)), factor);
+            vst1q_f32(out.as_mut_ptr().add(output * row.pixels + pixel), values);
+        }
+    }
+}
+
 /// What [`Kernel`](super::Kernel) calls, for one way to multiply.
 macro_rules! kernel {
-    ($multiply:ident, $features:literal, $depthwise:ident) => {
-        pub(in crate::engine::kernels) use super::depthwise::$depthwise as depthwise;
+    ($multiply:ident, $features:literal) => {
         pub(in crate::engine::kernels) use super::{add, quantize_four};
 
         /// # Safety
@@ -258,6 +327,19 @@ macro_rules! kernel {
         ) {
             // SAFETY: as this function's.
             unsafe { super::floats::<$multiply>(packed, row, out) }
+        }
+
+        /// # Safety
+        /// The processor has the instructions, the row passed `Depthwise::check`, and `out` has room for it.
+        #[target_feature(enable = $features)]
+        pub(in crate::engine::kernels) unsafe fn depthwise(
+            packed: &Depthwise,
+            row: &Row<'_>,
+            to: &ToBytes,
+            out: &mut [u8],
+        ) {
+            // SAFETY: as this function's.
+            unsafe { super::depthwise::row::<$multiply>(packed, row, to, out) }
         }
     };
 }
@@ -314,6 +396,8 @@ pub(super) unsafe fn quantize_four(planes: &[&[f32]], scale: f32, zero: u8, out:
         zero,
         range: 0..=255,
     });
+    // SAFETY: every aarch64 has NEON.
+    let lowest = unsafe { vdupq_n_f32(-f32::from(zero)) };
     let whole = out.len() / 64 * 64;
     for at in (0..whole).step_by(64) {
         // SAFETY: sixteen values of each plane and 64 bytes from the first of these pixels on.
@@ -321,7 +405,8 @@ pub(super) unsafe fn quantize_four(planes: &[&[f32]], scale: f32, zero: u8, out:
             let bytes = |channel: usize| match planes.get(channel) {
                 Some(plane) => limits.pack([0, 4, 8, 12].map(|value| {
                     let values = vld1q_f32(plane.as_ptr().add(at / 4 + value));
-                    vdivq_f32(values, vdupq_n_f32(scale))
+                    // Also sends NaN to the lower bound.
+                    vmaxnmq_f32(vdivq_f32(values, vdupq_n_f32(scale)), lowest)
                 })),
                 None => vdupq_n_u8(zero),
             };
