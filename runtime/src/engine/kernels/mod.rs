@@ -192,7 +192,7 @@ pub(crate) struct Dense {
 }
 
 impl Dense {
-    /// Packs `weight(output, run, byte)`.
+    /// Packs `weight(output, run, byte)`, none of them below [`Kernel::least_weight`].
     pub(crate) fn new(
         kernel: Kernel,
         outputs: usize,

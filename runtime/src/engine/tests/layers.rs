@@ -306,6 +306,50 @@ fn linear_layers_are_the_nearest_step() {
     }
 }
 
+/// The largest products that there are, all of one sign: some kernels add two of them in 16 bits.
+#[test]
+fn extreme_bytes_and_weights_are_the_nearest_step() {
+    let (channels, outs) = (40, 16);
+    let shape = [channels, 2, 3];
+    let from = Steps {
+        signed: false,
+        zero: 128,
+        scale: 0.02,
+    };
+    let out = Steps {
+        signed: false,
+        zero: 128,
+        scale: 3.0,
+    };
+    for (byte, weight) in [
+        (0_i32, -128_i8),
+        (0, -127),
+        (0, 127),
+        (255, -128),
+        (255, 127),
+    ] {
+        let mut b = Builder::new(shape);
+        let x = b.quantized("x", from);
+        let dims = [outs, channels, 1, 1];
+        let raw = b.constant(DataType::Int8, &dims, vec![weight as u8; outs * channels]);
+        let scale = b.floats(&[], &[0.01]);
+        let zero = b.constant(DataType::Int8, &[], vec![0]);
+        let w = b.node("DequantizeLinear", &[&raw, &scale, &zero], vec![]);
+        let y = b.node("Conv", &[&x, &w], vec![]);
+        let y = b.quantized(&y, out);
+        let value = (byte - from.zero) as f32 * from.scale;
+        let real = channels as f64 * f64::from(value) * f64::from(weight) * 0.01;
+        check(
+            &b.finish(&[&y]),
+            shape,
+            &vec![value; channels * 6],
+            out,
+            &vec![real; outs * 6],
+            &format!("byte {byte}, weight {weight}"),
+        );
+    }
+}
+
 /// One pixel for all, one channel for all, and constants, on either side.
 #[test]
 fn broadcasts_are_the_nearest_step() {
