@@ -744,9 +744,10 @@ fn few_outputs_are_the_sums_that_they_should_be() {
     }
 }
 
-/// What clipped layers mostly have, or a zero point and bounds.
-fn to_bytes(plain: bool) -> ToBytes {
-    let (zero, range) = if plain { (0, 0..=255) } else { (77, 5..=250) };
+/// What clipped layers mostly have, or a zero point, or bounds, or both.
+fn to_bytes(numbers: &mut Numbers) -> ToBytes {
+    let zero = [0, 77][numbers.below(2)];
+    let range = [0..=255, 5..=250][numbers.below(2)].clone();
     ToBytes { zero, range }
 }
 
@@ -784,7 +785,7 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
                 step: run,
                 pixels,
             };
-            let to = to_bytes(numbers.below(2) == 0);
+            let to = to_bytes(&mut numbers);
             let expected = |output: usize, pixel: usize| {
                 let products = (0..run).map(|byte| {
                     i32::from(input[pixel * run + byte]) * i32::from(weights[output * run + byte])
@@ -859,7 +860,7 @@ fn depthwise_of_any_channels_in_rows_of_any_length() {
                 step: stride * pitch,
                 pixels,
             };
-            let to = to_bytes(numbers.below(2) == 0);
+            let to = to_bytes(&mut numbers);
             let expected = |channel: usize, pixel: usize| {
                 let products = (0..side * side).map(|tap| {
                     let x = input[runs[tap] + pixel * stride * pitch + channel];
