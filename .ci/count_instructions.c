@@ -1,6 +1,6 @@
 /* A plugin for QEMU that prints how many instructions the program executed, for `.ci/arm instructions`.
  *
- * Declared here is what it takes of QEMU's plugin interface (version 1, QEMU 6 and later), whose header Debian does not package. */
+ * Declared here is what it takes of version 1 of QEMU's plugin interface (QEMU 6 to 8), whose header Debian does not package. */
 #include <inttypes.h>
 #include <stddef.h>
 #include <stdio.h>

@@ -348,7 +348,7 @@ impl Convolution {
         self.bias.iter().enumerate().map(start).collect()
     }
 
-    /// Whether no input whatever can carry an accumulator's final value, or a rounded result, out of 32 bits. (On the
+    /// Whether factors are finite, and no input whatever can carry an accumulator's final value, or a rounded result, out of 32 bits. (On the
     /// way there sums may wrap around: adding is exact modulo 2^32.)
     ///
     /// ONNX Runtime gives channels that never fire biases close to -2^31. Such a channel loses its weights here, and half
@@ -358,6 +358,9 @@ impl Convolution {
         let (least, most) = (-i64::from(input.zero), 255 - i64::from(input.zero));
         let length = self.weights.len() / self.outputs;
         for (output, factor) in factors.into_iter().enumerate() {
+            if !factor.is_finite() {
+                return false;
+            }
             let mut ends = [i64::from(self.bias[output]); 2];
             for &weight in self.filter(output) {
                 let products = [i64::from(weight) * least, i64::from(weight) * most];

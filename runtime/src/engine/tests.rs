@@ -704,7 +704,7 @@ fn few_outputs_are_the_sums_that_they_should_be() {
             .map(|_| numbers.below(256) as u8)
             .collect();
         let weights: Vec<i8> = (0..outputs * 9 * pitch)
-            .map(|_| numbers.below(255) as i8)
+            .map(|_| (numbers.below(255) as i32 - 127) as i8)
             .collect();
         let weight =
             |output: usize, run: usize, byte: usize| weights[(output * 3 + run) * 3 * pitch + byte];
@@ -775,7 +775,7 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
                 .map(|_| numbers.below(256) as u8)
                 .collect();
             let weights: Vec<i8> = (0..outputs * run)
-                .map(|_| numbers.below(255) as i8)
+                .map(|_| (numbers.below(255) as i32 - 127) as i8)
                 .collect();
             let (starts, factors) = starts_and_factors(outputs);
             let row = Row {
@@ -847,7 +847,7 @@ fn depthwise_of_any_channels_in_rows_of_any_length() {
                 .map(|_| numbers.below(256) as u8)
                 .collect();
             let filters: Vec<i8> = (0..channels * side * side)
-                .map(|_| numbers.below(255) as i8)
+                .map(|_| (numbers.below(255) as i32 - 127) as i8)
                 .collect();
             let (starts, factors) = starts_and_factors(channels);
             let runs: Vec<usize> = (0..side * side)

@@ -176,13 +176,13 @@ macro_rules! encoding {
             /// Few outputs: a register holds two pixels of one, each as four sums that are added up in the end.
             ///
             /// # Safety
-            /// As [`dense_bytes`]; there are `OUTPUTS` outputs, and `weights` are what [`Dense::few`] gave for the row and
+            /// As [`dense_bytes`]; there are `OUTPUTS` outputs, and `all` is what [`Dense::few`] gave for the row and
             /// [`FEW_PIXELS`].
             #[target_feature(enable = $features)]
             #[inline]
             unsafe fn few<const OUTPUTS: usize>(
                 packed: &Dense,
-                weights: *const [i8; NARROW],
+                all: &[[i8; NARROW]],
                 row: &Row<'_>,
                 out: &mut [f32],
             ) {
@@ -190,7 +190,7 @@ macro_rules! encoding {
                 for pixel in (0..row.pixels).step_by(FEW_PIXELS) {
                     let pixel = pixel.min(row.pixels - FEW_PIXELS);
                     let mut sums = [[_mm256_setzero_si256(); FEW_PIXELS / 2]; OUTPUTS];
-                    let mut weights = weights;
+                    let mut weights = all.as_ptr();
                     for offset in row.runs {
                         for tap in (0..packed.run).step_by(NARROW) {
                             let at = row.base + offset + pixel * NARROW + tap;

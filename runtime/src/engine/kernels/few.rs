@@ -1,4 +1,4 @@
-//! Dense convolutions of few outputs from pixels of 16 channels: the heads. Each output is summed up over a register of a pixel's
+//! Dense convolutions of few outputs from pixels of 16 bytes: the heads. Each output is summed up over a register of a pixel's
 //! channels, instead of sixteen outputs of which most do not exist.
 
 use super::{Dense, Row};
@@ -36,8 +36,8 @@ impl Few {
 
 impl Dense {
     /// The weights of few outputs, where it has them and the row's pixels are as narrow, and `least` or more.
-    pub(super) fn few(&self, row: &Row<'_>, least: usize) -> Option<*const [i8; NARROW]> {
+    pub(super) fn few(&self, row: &Row<'_>, least: usize) -> Option<&[[i8; NARROW]]> {
         let fits = !self.few.0.is_empty() && row.step == NARROW && row.pixels >= least;
-        fits.then_some(self.few.0.as_ptr())
+        fits.then_some(&self.few.0)
     }
 }

@@ -132,7 +132,8 @@ impl Kernel {
         }
     }
 
-    /// The least weight that its dense convolutions take; NEON without the dot product adds two products in 16 bits.
+    /// The least weight that its dense convolutions take; NEON without the dot product adds two products in 16 bits. A layer with one
+    /// below it reads its input twice.
     pub(crate) fn least_weight(self) -> i8 {
         match self {
             Kernel::Neon => -127,
@@ -155,7 +156,7 @@ impl Kernel {
 /// In which order a kernel reads the weights of a dense convolution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Packing {
-    /// Neighbouring bytes of a run that meet one lane in one instruction.
+    /// Neighbouring bytes of a run whose weights of one output lie together.
     bytes: usize,
     /// Most blocks of a group.
     group: usize,
@@ -202,6 +203,11 @@ impl Dense {
         factors: &[f32],
         weight: impl Fn(usize, usize, usize) -> i8,
     ) -> Self {
+        let weight = |output: usize, run: usize, byte: usize| {
+            let weight = weight(output, run, byte);
+            debug_assert!(weight >= kernel.least_weight());
+            weight
+        };
         let packing = kernel.packing();
         let blocks = outputs.div_ceil(BLOCK);
         let mut weights =

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::super::kernels::Row;
 use super::super::layer::{Placed, Window};
 
-/// A byte tensor's place in the arena; see [`super::kernels`] for the layout.
+/// A byte tensor's place in the arena; see [`kernels`](super::super::kernels) for the layout.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Buffer {
     pub(super) offset: usize,

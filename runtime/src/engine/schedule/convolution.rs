@@ -117,21 +117,34 @@ pub(super) fn dense(
     )
 }
 
-/// Bytes that make up each weight, none below `least`: two where one is not enough.
+/// Bytes that make up each weight, none below `least`: up to three, of 255.
 fn parts(convolution: &Convolution, least: i8) -> usize {
-    let fits = |&weight: &i16| part(weight, 1, least) == 0;
-    if convolution.weights.iter().all(fits) {
-        1
-    } else {
-        2
-    }
+    let all = |&parts: &usize| {
+        let rest = |&weight: &i16| part(weight, parts, least) == 0;
+        convolution.weights.iter().all(rest)
+    };
+    (1..3).find(all).unwrap_or(3)
 }
 
 /// One of the bytes that make up `weight`, which is from -255 to 255.
 fn part(weight: i16, number: usize, least: i8) -> i8 {
-    let first = weight.clamp(i16::from(least), i16::from(i8::MAX));
-    match number {
-        0 => first as i8,
-        _ => (weight - first) as i8,
+    let byte = |weight: i16| weight.clamp(i16::from(least), i16::from(i8::MAX));
+    let rest = (0..number).fold(weight, |rest, _| rest - byte(rest));
+    byte(rest) as i8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_add_up_to_the_weight() {
+        for least in [i8::MIN, -127] {
+            for weight in -255_i16..=255 {
+                let parts = [0, 1, 2].map(|number| part(weight, number, least));
+                assert_eq!(parts.map(i16::from).iter().sum::<i16>(), weight);
+                assert!(parts.iter().all(|&part| part >= least), "{weight}, {least}");
+            }
+        }
     }
 }

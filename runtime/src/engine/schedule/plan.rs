@@ -137,7 +137,7 @@ impl Plan<'_> {
         })
     }
 
-    /// A step that reads no bytes.
+    /// A step without the byte tensors that it reads row by row.
     fn alone(&self, layer: &Layer, work: Work) -> Step {
         Step {
             work,
@@ -244,7 +244,12 @@ impl Plan<'_> {
         } = *bytes;
         let operation = &layer.operation;
         let to = bytes.to();
-        let factor = from[0].scale / quantization.scale;
+        // Infinity times 0 is no number, which kernels round as they like.
+        let finite = |factor: f32| match factor.is_finite() {
+            true => Ok(factor),
+            false => Err(format!("`{}` has scales too far apart", layer.output)),
+        };
+        let factor = finite(from[0].scale / quantization.scale)?;
         let zero = from[0].zero;
         let written = self.buffers.get(layer.output.as_str());
         let out_pitch = written.map_or(0, |buffer| buffer.pitch);
@@ -261,12 +266,12 @@ impl Plan<'_> {
         Ok(match operation {
             Operation::Add => Work::Add(Addition {
                 zeros: [from[0].zero, from[1].zero],
-                factors: [0, 1].map(|number| from[number].scale / quantization.scale),
+                factors: [factor, finite(from[1].scale / quantization.scale)?],
                 to,
             }),
             Operation::Multiply => Work::Multiply {
                 zeros: [from[0].zero, from[1].zero],
-                factor: from[0].scale * from[1].scale / quantization.scale,
+                factor: finite(from[0].scale * from[1].scale / quantization.scale)?,
                 to,
             },
             Operation::Table(table) => Work::Table(table.clone()),

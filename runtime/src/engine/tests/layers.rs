@@ -12,7 +12,7 @@ fn weights(
     scales: &[f32],
 ) -> (Vec<f64>, String) {
     let raw: Vec<u8> = (0..dims.iter().product())
-        .map(|_| numbers.next() as u8)
+        .map(|_| [numbers.next() as u8, 0, 255, numbers.next() as u8][numbers.below(4)])
         .collect();
     let after: usize = dims[axis + 1..].iter().product();
     let real = |(index, &byte): (usize, &u8)| {
@@ -30,9 +30,9 @@ fn weights(
     )
 }
 
-/// Unsigned bytes whose zero point is 128 fit one byte of weights less it; others take two.
+/// Unsigned bytes whose zero point is 128 fit one byte of weights less it; others take two, and the farthest three.
 fn weight_zero(numbers: &mut Numbers) -> u8 {
-    [128, 128, 3, 200][numbers.below(4)]
+    [128, 128, 3, 200, 0, 255][numbers.below(6)]
 }
 
 #[test]
@@ -347,6 +347,34 @@ fn extreme_bytes_and_weights_are_the_nearest_step() {
             &vec![real; outs * 6],
             &format!("byte {byte}, weight {weight}"),
         );
+    }
+}
+
+/// Infinity times 0 is no number: such a layer is refused, and the model left to tract.
+#[test]
+fn scales_whose_ratio_is_infinite_are_refused() {
+    let shape = [16, 1, 2];
+    let [from, out] = [1e38, 1e-30].map(|scale| Steps {
+        signed: false,
+        zero: 0,
+        scale,
+    });
+    for operator in ["Add", "Mul"] {
+        let mut b = Builder::new(shape);
+        let x = b.quantized("x", from);
+        let y = b.node(operator, &[&x, &x], vec![]);
+        let y = b.quantized(&y, out);
+        let model = fastest()
+            .split(&b.finish(&[&y]))
+            .expect("there is an island");
+        let mut onnx = tract_onnx::onnx();
+        register(&mut onnx);
+        let planned = onnx
+            .model_for_proto_model(&model)
+            .and_then(|model| model.with_input_fact(0, f32::fact([1, 16, 1, 2]).into()))
+            .and_then(|model| model.into_optimized());
+        let error = format!("{:?}", planned.expect_err("it cannot be planned"));
+        assert!(error.contains("too far apart"), "{operator}: {error}");
     }
 }
 

@@ -12,12 +12,12 @@ pub(super) const PIXELS: usize = 16;
 /// added up in the end, instead of sixteen outputs of one pixel of which most do not exist.
 ///
 /// # Safety
-/// As [`super::dense_bytes`]; the row passed `Dense::check`; `weights` are what [`Dense::few`] gave for it and [`PIXELS`]; `out` has
+/// As [`super::dense_bytes`]; the row passed `Dense::check`; `weights` is what [`Dense::few`] gave for it and [`PIXELS`]; `out` has
 /// room for the outputs' rows.
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 pub(super) unsafe fn few_floats(
     dense: &Dense,
-    weights: *const [i8; NARROW],
+    weights: &[[i8; NARROW]],
     row: &Row<'_>,
     out: *mut f32,
 ) {
@@ -38,14 +38,14 @@ pub(super) unsafe fn few_floats(
 #[inline]
 unsafe fn few_of<const OUTPUTS: usize>(
     dense: &Dense,
-    first_weights: *const [i8; NARROW],
+    all: &[[i8; NARROW]],
     row: &Row<'_>,
     out: *mut f32,
 ) {
     for pixel in (0..row.pixels).step_by(PIXELS) {
         let pixel = pixel.min(row.pixels - PIXELS);
         let mut sums = [[_mm512_setzero_si512(); PIXELS / 4]; OUTPUTS];
-        let mut weights = first_weights;
+        let mut weights = all.as_ptr();
         for offset in row.runs {
             for tap in (0..dense.run).step_by(NARROW) {
                 let at = row.base + offset + pixel * NARROW + tap;

@@ -356,7 +356,7 @@ pub(super) unsafe fn row<M: Multiply>(
     let limits = Limits::new(to);
     for channel in (0..pitch).step_by(BLOCK) {
         // SAFETY: the first tap of each row of taps, and for a row that the kernel does not have of its last, is in the row's input;
-        // `Interleaved::new` packed four vectors of starts and factors for every strip, and four times `quads` of weights; side and
+        // `Interleaved::new` packed four vectors of starts for every strip, and four times `quads` of weights, and `Depthwise::new` factors; side and
         // stride are the row's own.
         unsafe {
             let of_strip = quads(side) * TALL * BLOCK;

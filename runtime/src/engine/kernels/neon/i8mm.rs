@@ -44,7 +44,7 @@ impl Multiply for I8mm {
         // SAFETY: as this function's, and every aarch64 has NEON: a block has as many vectors of 128 weights as its runs have eights, and
         // what is read of two pixels is eight bytes of their runs, or the last four.
         unsafe {
-            const { assert!(COUNT <= 2 * PAIRS) }
+            const { assert!(COUNT == 1 || COUNT == 2 * PAIRS) }
             let (run, step) = (tile.dense.run, tile.row.step);
             let (mut weights, starts) = (tile.weights(), tile.starts());
             // A single pixel is a pair with itself.

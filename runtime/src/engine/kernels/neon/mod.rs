@@ -242,7 +242,7 @@ unsafe fn floats<M: Multiply>(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
     unsafe {
         if let Some(weights) = packed.few(row, PIXELS) {
             for output in 0..packed.outputs {
-                few::<M>(packed, weights.add(output), output, row, out);
+                few::<M>(packed, weights, output, row, out);
             }
             return;
         }
@@ -261,11 +261,11 @@ unsafe fn floats<M: Multiply>(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
 /// One of few outputs: each pixel as four sums that are added up in the end. Inlined into a function that has the instructions.
 ///
 /// # Safety
-/// As [`dense`]; `weights` are this output's first of those that [`Dense::few`] gave for the row and [`PIXELS`].
+/// As [`dense`]; `all` is what [`Dense::few`] gave for the row and [`PIXELS`].
 #[inline(always)]
 unsafe fn few<M: Multiply>(
     packed: &Dense,
-    weights: *const [i8; NARROW],
+    all: &[[i8; NARROW]],
     output: usize,
     row: &Row<'_>,
     out: &mut [f32],
@@ -276,7 +276,7 @@ unsafe fn few<M: Multiply>(
         // each output, and four pixels of its row.
         unsafe {
             let mut sums = [vdupq_n_s32(0); PIXELS];
-            let mut weights = weights;
+            let mut weights = all.as_ptr().add(output);
             for offset in row.runs {
                 for tap in (0..packed.run).step_by(NARROW) {
                     let of_tap = vld1q_s8(weights.cast());
@@ -285,7 +285,7 @@ unsafe fn few<M: Multiply>(
                         let input = vld1q_u8(row.input.as_ptr().add(at + NARROW * number));
                         *sums = M::products(*sums, M::input(input), of_tap);
                     }
-                    weights = weights.add(packed.outputs);
+                    weights = weights.wrapping_add(packed.outputs);
                 }
             }
             let [a, b, c, d] = sums;
