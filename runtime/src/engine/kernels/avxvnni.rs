@@ -281,8 +281,9 @@ macro_rules! encoding {
                         factors.as_ptr().add(4 * number),
                     )
                 };
-                // SAFETY: one of four vectors each, and where a vector of them may be.
+                // SAFETY: one of four vectors, where a vector may be.
                 let start = |j: usize| unsafe { _mm256_load_si256(starts.add(j).cast()) };
+                // SAFETY: as above.
                 let factor = |j: usize| unsafe { _mm256_load_ps(factors.add(j).cast()) };
                 let starts: [__m256i; 4] = std::array::from_fn(start);
                 let factors: [__m256; 4] = std::array::from_fn(factor);
@@ -303,10 +304,10 @@ macro_rules! encoding {
                         });
                         for (j, (sum, bytes)) in sums.iter_mut().zip(interleaved(four)).enumerate()
                         {
+                            let at = weights.wrapping_add(4 * quad + j);
                             // SAFETY: a vector of weights for each register of each quad.
-                            let weights =
-                                unsafe { _mm256_load_si256(weights.add(4 * quad + j).cast()) };
-                            *sum = $multiply(*sum, bytes, weights);
+                            let of_quad = unsafe { _mm256_load_si256(at.cast()) };
+                            *sum = $multiply(*sum, bytes, of_quad);
                         }
                     }
                     for (sum, factors) in sums.iter_mut().zip(factors) {

@@ -232,7 +232,7 @@ impl Dense {
         #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
         let few = match kernel {
             Kernel::Portable | Kernel::Avx2 => Few::default(),
-            _ => Few::new(outputs, runs, run, &weight),
+            _ => Few::new(outputs, runs, run, weight),
         };
         let padded = |length| length - outputs;
         let mut starts = starts.to_vec();
