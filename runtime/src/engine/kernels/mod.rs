@@ -26,6 +26,34 @@ macro_rules! unrolled {
     };
 }
 
+/// 3x3 as a window that moves over the columns of a row: `column!(tap of sums, ..)` unpacks the next column and adds it, as that
+/// tap, to the sums of each pixel that it belongs to (as tap 0 they begin); `done!(sums)` writes a pixel, and returns after the last.
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+macro_rules! moving_window {
+    ($stride:ident, $column:ident, $done:ident) => {
+        $column!(0 of 0);
+        if $stride == 1 {
+            $column!(1 of 0, 0 of 1);
+            loop {
+                $column!(2 of 0, 1 of 1, 0 of 2);
+                $done!(0);
+                $column!(2 of 1, 1 of 2, 0 of 0);
+                $done!(1);
+                $column!(2 of 2, 1 of 0, 0 of 1);
+                $done!(2);
+            }
+        }
+        loop {
+            $column!(1 of 0);
+            $column!(2 of 0, 0 of 1);
+            $done!(0);
+            $column!(1 of 1);
+            $column!(2 of 1, 0 of 0);
+            $done!(1);
+        }
+    };
+}
+
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]

@@ -296,26 +296,7 @@ impl<const SPLIT: usize> Strip<SPLIT> {
                 }
             };
         }
-        column!(0 of 0);
-        if STRIDE == 1 {
-            column!(1 of 0, 0 of 1);
-            loop {
-                column!(2 of 0, 1 of 1, 0 of 2);
-                done!(0);
-                column!(2 of 1, 1 of 2, 0 of 0);
-                done!(1);
-                column!(2 of 2, 1 of 0, 0 of 1);
-                done!(2);
-            }
-        }
-        loop {
-            column!(1 of 0);
-            column!(2 of 0, 0 of 1);
-            done!(0);
-            column!(1 of 1);
-            column!(2 of 1, 0 of 0);
-            done!(1);
-        }
+        moving_window!(STRIDE, column, done);
     }
 
     /// 5x5, in tiles of `PIXELS` pixels, the last one moved back onto pixels already done.
