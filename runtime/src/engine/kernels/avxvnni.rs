@@ -1,13 +1,13 @@
 //! VNNI in 256 bits: AVX2's kernels, with `vpdpbusd` in the convolutions. It multiplies 32 bytes by 32 weights and adds them
 //! exactly, four by four, to 8 lanes.
 //!
-//! Two encodings of one instruction: AVX-VNNI's (client processors, and server ones from Sapphire Rapids on) and
-//! AVX-512's.
+//! The instruction has two encodings: AVX-VNNI's (client processors, and server ones from Sapphire Rapids on) and AVX-512's, which is here
+//! for tests on processors that have no other; they run the kernels of 512 bits.
 
 use std::arch::x86_64::*;
 
 use super::avx2::{self, Limits, Multiply, Tile, scaled};
-use super::few::{FEW, NARROW};
+use super::few::NARROW;
 use super::{Dense, Depthwise, Row, ToBytes};
 
 pub(super) use avx2::{add, quantize_four};
@@ -160,73 +160,62 @@ macro_rules! encoding {
             /// As [`dense_bytes`].
             #[target_feature(enable = $features)]
             pub(super) unsafe fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
-                // SAFETY: as this function's; the weights of few outputs are of this row's convolution, of which one block has all
-                // outputs, and no other lane is written.
+                // SAFETY: as this function's; the weights of few outputs are of this row's convolution.
                 unsafe {
-                    match (packed.few(row, FEW_PIXELS), packed.outputs) {
-                        (Some(weights), 1) => few::<1>(packed, weights, row, out),
-                        (Some(weights), 2) => few::<2>(packed, weights, row, out),
-                        (Some(weights), 3) => few::<3>(packed, weights, row, out),
-                        (Some(weights), _) => few::<FEW>(packed, weights, row, out),
-                        (None, _) => avx2::floats::<Encoding, PIXELS>(packed, row, out),
+                    let Some(all) = packed.few(row, FEW_PIXELS) else {
+                        return avx2::floats::<Encoding, PIXELS>(packed, row, out);
+                    };
+                    for output in 0..packed.outputs {
+                        few(packed, all, output, row, out);
                     }
                 }
             }
 
-            /// Few outputs: a register holds two pixels of one, each as four sums that are added up in the end.
+            /// One of few outputs: a register holds two pixels, each as four sums that are added up in the end.
             ///
             /// # Safety
-            /// As [`dense_bytes`]; there are `OUTPUTS` outputs, and `all` is what [`Dense::few`] gave for the row and
-            /// [`FEW_PIXELS`].
+            /// As [`dense_bytes`]; there is such an output, and `all` is what [`Dense::few`] gave for the row and [`FEW_PIXELS`].
             #[target_feature(enable = $features)]
-            #[inline]
-            unsafe fn few<const OUTPUTS: usize>(
+            unsafe fn few(
                 packed: &Dense,
                 all: &[[i8; NARROW]],
+                output: usize,
                 row: &Row<'_>,
                 out: &mut [f32],
             ) {
                 let in_order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
                 for pixel in (0..row.pixels).step_by(FEW_PIXELS) {
                     let pixel = pixel.min(row.pixels - FEW_PIXELS);
-                    let mut sums = [[_mm256_setzero_si256(); FEW_PIXELS / 2]; OUTPUTS];
-                    let mut weights = all.as_ptr();
+                    let mut sums = [_mm256_setzero_si256(); FEW_PIXELS / 2];
+                    let mut weights = all.as_ptr().wrapping_add(output);
                     for offset in row.runs {
                         for tap in (0..packed.run).step_by(NARROW) {
+                            // SAFETY: each 16 bytes of each run have weights of each output.
+                            let of_tap = unsafe { _mm_loadu_si128(weights.cast()) };
+                            let of_tap = _mm256_broadcastsi128_si256(of_tap);
                             let at = row.base + offset + pixel * NARROW + tap;
-                            let mut input = [_mm256_setzero_si256(); FEW_PIXELS / 2];
-                            for (two, input) in input.iter_mut().enumerate() {
+                            for (two, sums) in sums.iter_mut().enumerate() {
                                 // SAFETY: the tap's bytes of two pixels of the row, one after the other.
-                                *input = unsafe {
+                                let input = unsafe {
                                     _mm256_loadu_si256(row.input.as_ptr().add(at + 32 * two).cast())
                                 };
+                                *sums = $multiply(*sums, input, of_tap);
                             }
-                            for (output, sums) in sums.iter_mut().enumerate() {
-                                // SAFETY: each 16 bytes of each run have weights of each output.
-                                let of_tap = unsafe { _mm_loadu_si128(weights.add(output).cast()) };
-                                let of_tap = _mm256_broadcastsi128_si256(of_tap);
-                                for (sums, &input) in sums.iter_mut().zip(&input) {
-                                    *sums = $multiply(*sums, input, of_tap);
-                                }
-                            }
-                            // SAFETY: at most to the end of the weights.
-                            weights = unsafe { weights.add(OUTPUTS) };
+                            weights = weights.wrapping_add(packed.outputs);
                         }
                     }
-                    for (output, [a, b, c, d]) in sums.into_iter().enumerate() {
-                        // The even pixels, then the odd ones.
-                        let all =
-                            _mm256_hadd_epi32(_mm256_hadd_epi32(a, b), _mm256_hadd_epi32(c, d));
-                        // SAFETY: a start and a factor for each output, and eight pixels of its row.
-                        unsafe {
-                            let start = _mm256_set1_epi32(*packed.starts.get_unchecked(output));
-                            let factor = _mm256_set1_ps(*packed.factors.get_unchecked(output));
-                            let sum = _mm256_permutevar8x32_epi32(all, in_order);
-                            let sum = _mm256_add_epi32(sum, start);
-                            let value = _mm256_mul_ps(_mm256_cvtepi32_ps(sum), factor);
-                            let out = out.as_mut_ptr().add(output * row.pixels + pixel);
-                            _mm256_storeu_ps(out, value);
-                        }
+                    // The even pixels, then the odd ones.
+                    let [a, b, c, d] = sums;
+                    let all = _mm256_hadd_epi32(_mm256_hadd_epi32(a, b), _mm256_hadd_epi32(c, d));
+                    // SAFETY: a start and a factor for each output, and eight pixels of its row.
+                    unsafe {
+                        let start = _mm256_set1_epi32(*packed.starts.get_unchecked(output));
+                        let factor = _mm256_set1_ps(*packed.factors.get_unchecked(output));
+                        let sum =
+                            _mm256_add_epi32(_mm256_permutevar8x32_epi32(all, in_order), start);
+                        let value = _mm256_mul_ps(_mm256_cvtepi32_ps(sum), factor);
+                        let out = out.as_mut_ptr().add(output * row.pixels + pixel);
+                        _mm256_storeu_ps(out, value);
                     }
                 }
             }
@@ -331,10 +320,24 @@ macro_rules! encoding {
 }
 
 encoding!(vex, "avx2,avxvnni", _mm256_dpbusd_avx_epi32);
+#[cfg(test)]
 encoding!(evex, "avx2,avx512vl,avx512vnni", _mm256_dpbusd_epi32);
 
+/// Calls a kernel in AVX-VNNI's encoding; in tests in AVX-512's, where the processor has only that.
+macro_rules! encoded {
+    ($function:ident($($argument:expr),*)) => {{
+        #[cfg(test)]
+        if !std::arch::is_x86_feature_detected!("avxvnni") {
+            // SAFETY: passed on; `Kernel::is_supported` found this encoding.
+            return unsafe { evex::$function($($argument),*) };
+        }
+        // SAFETY: passed on.
+        unsafe { vex::$function($($argument),*) }
+    }};
+}
+
 /// # Safety
-/// The processor has AVX2 and one of the encodings; the row passed `Dense::check`, and `out` has room for it.
+/// The processor has AVX2 and the encoding; the row passed `Dense::check`, and `out` has room for it.
 pub(super) unsafe fn dense_bytes(
     packed: &Dense,
     row: &Row<'_>,
@@ -342,38 +345,17 @@ pub(super) unsafe fn dense_bytes(
     out: &mut [u8],
     pitch: usize,
 ) {
-    // SAFETY: the processor has been asked; the rest is as this function's.
-    unsafe {
-        if std::arch::is_x86_feature_detected!("avxvnni") {
-            vex::dense_bytes(packed, row, to, out, pitch);
-        } else {
-            evex::dense_bytes(packed, row, to, out, pitch);
-        }
-    }
+    encoded!(dense_bytes(packed, row, to, out, pitch));
 }
 
 /// # Safety
 /// As [`dense_bytes`].
 pub(super) unsafe fn dense_floats(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
-    // SAFETY: as above.
-    unsafe {
-        if std::arch::is_x86_feature_detected!("avxvnni") {
-            vex::dense_floats(packed, row, out);
-        } else {
-            evex::dense_floats(packed, row, out);
-        }
-    }
+    encoded!(dense_floats(packed, row, out));
 }
 
 /// # Safety
-/// The processor has AVX2 and one of the encodings; the row passed `Depthwise::check` with `out`.
+/// The processor has AVX2 and the encoding; the row passed `Depthwise::check` with `out`.
 pub(super) unsafe fn depthwise(packed: &Depthwise, row: &Row<'_>, to: &ToBytes, out: &mut [u8]) {
-    // SAFETY: as above.
-    unsafe {
-        if std::arch::is_x86_feature_detected!("avxvnni") {
-            vex::depthwise(packed, row, to, out);
-        } else {
-            evex::depthwise(packed, row, to, out);
-        }
-    }
+    encoded!(depthwise(packed, row, to, out));
 }
