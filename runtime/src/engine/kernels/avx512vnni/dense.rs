@@ -228,9 +228,9 @@ macro_rules! tiles {
     }};
 }
 
-/// Covers all channels of a row.
+/// Covers all channels of a row; of two and of three blocks with tiles of `$most` pixels.
 macro_rules! channels {
-    ($dense:ident, $row:ident, $method:ident($($argument:expr),*)) => {{
+    ($dense:ident, $row:ident, $most:literal, $method:ident($($argument:expr),*)) => {{
         let mut tile = Tile { dense: $dense, row: $row, lane: 0, weights: $dense.weights.as_ptr(), pixel: 0 };
         for group in $dense.groups() {
             // SAFETY: `Dense::check` held; `Dense::new` packed as many starts, factors and weights as the groups have;
@@ -238,8 +238,8 @@ macro_rules! channels {
             unsafe {
                 match group {
                     1 => tiles!(tile, 1, 16, $method($($argument),*)),
-                    2 => tiles!(tile, 2, 8, $method($($argument),*)),
-                    3 => tiles!(tile, 3, 8, $method($($argument),*)),
+                    2 => tiles!(tile, 2, $most, $method($($argument),*)),
+                    3 => tiles!(tile, 3, $most, $method($($argument),*)),
                     _ => tiles!(tile, 4, 4, $method($($argument),*)),
                 }
                 tile.weights = tile.weights.add(group * BLOCK * $dense.runs * $dense.run);
@@ -261,7 +261,7 @@ pub(in super::super) unsafe fn dense_bytes(
 ) {
     let limits = Limits::new(to);
     let out = out.as_mut_ptr();
-    channels!(dense, row, bytes(limits, out, pitch));
+    channels!(dense, row, 8, bytes(limits, out, pitch));
 }
 
 /// # Safety
@@ -273,5 +273,6 @@ pub(in super::super) unsafe fn dense_floats(dense: &Dense, row: &Row<'_>, out: &
         // SAFETY: passed on; one block has all outputs, and no other lane is written.
         return unsafe { few::few_floats(dense, weights, row, out) };
     }
-    channels!(dense, row, floats(out));
+    // Rarely more than one block: not worth the code of larger tiles.
+    channels!(dense, row, 4, floats(out));
 }
