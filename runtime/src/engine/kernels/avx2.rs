@@ -157,8 +157,8 @@ impl Multiply for Avx2 {
     }
 }
 
-/// Where accumulators of a block of channels of some pixels go. A trait and not a closure: closures cannot be `#[inline(always)]`, and what is not
-/// inlined has no AVX2, and calls every intrinsic.
+/// Where accumulators of a block of channels of some pixels go. A trait and not a closure: closures cannot be
+/// `#[inline(always)]`, and what is not inlined has no AVX2, and calls every intrinsic.
 trait Store {
     /// # Safety
     /// The processor has AVX2, and this was made for the row and the convolution that `pixel` and `lane` are of: it has a factor for
