@@ -17,6 +17,7 @@ mod pinhole;
 mod pixel;
 
 pub use brown_conrady::BrownConrady;
+pub(crate) use intrinsics::FOCAL_LENGTHS;
 pub use intrinsics::Intrinsics;
 pub use kannala_brandt::KannalaBrandt;
 pub use pinhole::Pinhole;

@@ -174,7 +174,8 @@ impl Fusion {
     /// Baseline: the residual is the depth. `depth` has the output's pixels, or those of [`Self::rows`].
     ///
     /// # Errors
-    /// [`Error::HeadChannels`], [`Error::HeadNotFinite`], [`Error::OutputLength`], [`Error::ScratchLength`].
+    /// [`Error::HeadChannels`], [`Error::HeadNotFinite`], [`Error::OutputLength`], [`Error::ScratchLength`],
+    /// [`Error::FocalLength`] of the residual's unit.
     #[inline(always)]
     pub fn baseline(
         &self,
@@ -186,11 +187,12 @@ impl Fusion {
         let (rows, values) = self.part(output);
         check_length(values, depth)?;
         let mut scratch = Scratch::new(scratch);
+        let unit = residual.unit.metres()?;
         let mut residual = Plane::residual(residual, self.upsampling, output, &mut scratch)?;
         for (v, depth) in rows.zip(depth.chunks_exact_mut(output.row())) {
             residual.row(v, depth)?;
             for depth in depth {
-                *depth = clamp(*depth, self.depth.min, self.depth.max);
+                *depth = clamp(unit * *depth, self.depth.min, self.depth.max);
             }
         }
         Ok(())
@@ -200,7 +202,7 @@ impl Fusion {
     ///
     /// # Errors
     /// [`Error::HeadChannels`], [`Error::HeadNotFinite`], [`Error::OutputLength`], [`Error::ScratchLength`],
-    /// [`Error::GroundRow`] from the ground source.
+    /// [`Error::FocalLength`] of the residual's unit, [`Error::GroundRow`] from the ground source.
     #[inline(always)]
     pub fn vanilla<G: GroundRows + ?Sized>(
         &self,
@@ -211,7 +213,7 @@ impl Fusion {
         maps: FusedMaps<'_>,
     ) -> Result<(), Error> {
         let mut scratch = Scratch::new(scratch);
-        self.fuse(ground, None, residual, attention, &mut scratch, maps)
+        self.fuse(ground, None, residual, Some(attention), &mut scratch, maps)
     }
 
     /// Adaptive: ground depth from the plane and the expected slope,
@@ -229,19 +231,27 @@ impl Fusion {
         scratch: &mut [f32],
         maps: FusedMaps<'_>,
     ) -> Result<(), Error> {
-        self.vanilla_or_adaptive(ground, residual, attention, Some(slope), scratch, maps)
+        self.any_mode(
+            ground,
+            residual,
+            Some(attention),
+            Some(slope),
+            scratch,
+            maps,
+        )
     }
 
-    /// Adaptive where there are slopes, else vanilla: for a program that does both, one copy of the loops.
+    /// Adaptive where there are slopes, else vanilla, and baseline where there is no attention (its maps, if wanted, are 0): for a
+    /// program that does them all, one copy of the loops.
     ///
     /// # Errors
     /// As [`Self::adaptive`].
     #[inline(always)]
-    pub fn vanilla_or_adaptive<G: GroundRows + ?Sized, const N: usize>(
+    pub fn any_mode<G: GroundRows + ?Sized, const N: usize>(
         &self,
         ground: &G,
         residual: &ResidualHead<'_>,
-        attention: &AttentionHead<'_>,
+        attention: Option<&AttentionHead<'_>>,
         slope: Option<&SlopeHead<'_, N>>,
         scratch: &mut [f32],
         maps: FusedMaps<'_>,
@@ -268,7 +278,7 @@ impl Fusion {
         ground: &G,
         mut slope: Option<(SlopeTangent<'_, 's>, f32, &'s mut [f32])>,
         residual: &ResidualHead<'_>,
-        attention: &AttentionHead<'_>,
+        attention: Option<&AttentionHead<'_>>,
         scratch: &mut Scratch<'s>,
         maps: FusedMaps<'_>,
     ) -> Result<(), Error> {
@@ -279,27 +289,32 @@ impl Fusion {
         for map in [&maps.attention, &maps.ground].into_iter().flatten() {
             check_length(values, map)?;
         }
+        let unit = residual.unit.metres()?;
         let mut residual = Plane::residual(residual, self.upsampling, output, scratch)?;
-        let mut attention = Plane::attention(attention, self.upsampling, output, scratch)?;
+        let mut attention = attention
+            .map(|head| Plane::attention(head, self.upsampling, output, scratch))
+            .transpose()?;
         let per_height = 1.0 / ground.camera_height();
         let climb = slope.as_ref().map_or(0.0, |(_, climb, _)| *climb);
         let least = self.least_ground(ground.camera_height(), climb);
         let ground_row = scratch.take(width)?;
         let attention_row = scratch.take(width)?;
+        attention_row.fill(0.0);
         let mut attention_map = maps.attention.map(|map| map.chunks_exact_mut(width));
         let mut ground_map = maps.ground.map(|map| map.chunks_exact_mut(width));
         for (v, depth_row) in rows.zip(maps.depth.chunks_exact_mut(width)) {
             // A loop, so that there is one copy of what upsamples and decodes.
             let planes = [
-                (&mut residual, &mut *depth_row),
-                (&mut attention, &mut *attention_row),
+                (Some(&mut residual), &mut *depth_row),
+                (attention.as_mut(), &mut *attention_row),
             ];
             for (plane, row) in planes {
+                let Some(plane) = plane else { continue };
                 plane.row(v, row)?;
             }
             // Half of a picture lies above all ground, whatever its slope: no slopes, no divisions.
             let bound = ground.row_bound(v);
-            let mut ground_ahead = bound >= least;
+            let mut ground_ahead = attention.is_some() && bound >= least;
             if ground_ahead {
                 ground.write_row(v, ground_row)?;
                 if bound == f32::INFINITY {
@@ -314,17 +329,17 @@ impl Fusion {
                     slope.row(v, tangents)?;
                     for (((depth, ground), m), tangent) in values.zip(tangents.iter()) {
                         *ground = self.ground_depth(*ground - tangent * per_height);
-                        *depth = self.blend(*depth, *m, *ground);
+                        *depth = self.blend(unit * *depth, *m, *ground);
                     }
                 } else {
                     for ((depth, ground), m) in values {
                         *ground = self.ground_depth(*ground);
-                        *depth = self.blend(*depth, *m, *ground);
+                        *depth = self.blend(unit * *depth, *m, *ground);
                     }
                 }
             } else {
                 for (depth, m) in depth_row.iter_mut().zip(attention_row.iter()) {
-                    *depth = self.blend(*depth, *m, 0.0);
+                    *depth = self.blend(unit * *depth, *m, 0.0);
                 }
             }
             if let Some(row) = attention_map.as_mut().and_then(Iterator::next) {

@@ -357,6 +357,23 @@ fn every_code_is_reached_and_says_what_was_wrong() {
         )
     };
     assert_eq!(fuse(good, good, good), Ok(()));
+    for (focal_length, said) in [
+        (0.0, "0"),
+        (-200.0, "-200"),
+        (f32::NAN, "NaN"),
+        (f32::INFINITY, "inf"),
+    ] {
+        let residual = ResidualHead {
+            map: good,
+            unit: ResidualUnit::LogMetresPerPixel { focal_length },
+            decode_at: at,
+        };
+        let (mut scratch, mut depth) = (vec![0.0; scratch_len(size, 4, 0)], [-1.0; 12]);
+        let made = Fusion::new(Upsampling::HalfPixel, range, 100.0)
+            .and_then(|fusion| fusion.baseline(size, &residual, &mut scratch, &mut depth));
+        expect(made, 102, said, seen);
+        assert_eq!(depth, [-1.0; 12], "nothing is written");
+    }
     expect(fuse(double, good, good), 602, "2 channels", seen);
     expect(fuse(good, double, good), 602, "2 channels", seen);
     expect(fuse(good, good, double), 503, "2 slope logits for 1", seen);

@@ -51,7 +51,7 @@ fn sizes() {
         ("Coverage", size_of::<Coverage>(), 16),
         ("SlopeClasses", size_of::<SlopeClasses>(), 264),
         ("HeadMap", size_of::<HeadMap<'_>>(), 40),
-        ("ResidualHead", size_of::<ResidualHead<'_>>(), 48),
+        ("ResidualHead", size_of::<ResidualHead<'_>>(), 56),
         ("AttentionHead", size_of::<AttentionHead<'_>>(), 48),
         ("SlopeHead", size_of::<SlopeHead<'_>>(), 56),
         ("DepthRange", size_of::<DepthRange>(), 8),

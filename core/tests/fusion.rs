@@ -145,57 +145,69 @@ struct Case {
     units: (ResidualUnit, AttentionUnit),
 }
 
+fn residual_units() -> impl Strategy<Value = ResidualUnit> {
+    prop_oneof![
+        Just(ResidualUnit::Metres),
+        Just(ResidualUnit::LogMetres),
+        (50.0_f32..2000.0)
+            .prop_map(|focal_length| ResidualUnit::LogMetresPerPixel { focal_length }),
+    ]
+}
+
 fn case() -> impl Strategy<Value = Case> {
     let upsampling = prop_oneof![Just(Upsampling::HalfPixel), Just(Upsampling::AlignCorners)];
     let at = prop_oneof![Just(DecodeAt::HeadSize), Just(DecodeAt::OutputSize)];
-    (sizes(), upsampling, at, any::<(bool, bool, bool)>()).prop_flat_map(
-        |((output, head), upsampling, at, (log, logit, large))| {
-            // Softmax must not overflow, whatever the logits' size; upsampling large ones would round them.
-            let size = match (at, large) {
-                (DecodeAt::HeadSize, true) => 400.0,
-                _ => 6.0,
-            };
-            let n = head.pixels();
-            let residual = if log {
-                values(n, -3.0, 5.0)
-            } else {
-                values(n, -5.0, 120.0)
-            };
-            let attention = if logit {
-                values(n, -6.0, 6.0)
-            } else {
-                values(n, -0.2, 1.2)
-            };
-            (
-                values(output.pixels(), -0.3, 0.5),
-                residual,
-                attention,
-                values(8 * n, -size, size),
-            )
-                .prop_map(move |(ground, residual, attention, slope)| Case {
-                    output,
-                    head,
-                    ground,
+    (
+        sizes(),
+        upsampling,
+        at,
+        any::<(bool, bool)>(),
+        residual_units(),
+    )
+        .prop_flat_map(
+            |((output, head), upsampling, at, (logit, large), residual_unit)| {
+                // Softmax must not overflow, whatever the logits' size; upsampling large ones would round them.
+                let size = match (at, large) {
+                    (DecodeAt::HeadSize, true) => 400.0,
+                    _ => 6.0,
+                };
+                let n = head.pixels();
+                let residual = match residual_unit {
+                    ResidualUnit::Metres => values(n, -5.0, 120.0),
+                    ResidualUnit::LogMetres => values(n, -3.0, 5.0),
+                    ResidualUnit::LogMetresPerPixel { .. } => values(n, -8.0, 0.0),
+                };
+                let attention = if logit {
+                    values(n, -6.0, 6.0)
+                } else {
+                    values(n, -0.2, 1.2)
+                };
+                (
+                    values(output.pixels(), -0.3, 0.5),
                     residual,
                     attention,
-                    slope,
-                    upsampling,
-                    at,
-                    units: (
-                        if log {
-                            ResidualUnit::LogMetres
-                        } else {
-                            ResidualUnit::Metres
-                        },
-                        if logit {
-                            AttentionUnit::Logit
-                        } else {
-                            AttentionUnit::Probability
-                        },
-                    ),
-                })
-        },
-    )
+                    values(8 * n, -size, size),
+                )
+                    .prop_map(move |(ground, residual, attention, slope)| Case {
+                        output,
+                        head,
+                        ground,
+                        residual,
+                        attention,
+                        slope,
+                        upsampling,
+                        at,
+                        units: (
+                            residual_unit,
+                            if logit {
+                                AttentionUnit::Logit
+                            } else {
+                                AttentionUnit::Probability
+                            },
+                        ),
+                    })
+            },
+        )
 }
 
 fn classes() -> SlopeClasses<8> {
@@ -306,7 +318,25 @@ fn fuse_on(
         ground: Some(&mut fused.ground),
     };
     match mode {
-        Mode::Baseline => fusion.baseline(case.output, &residual, &mut scratch, maps.depth)?,
+        Mode::Baseline => {
+            fusion.baseline(case.output, &residual, &mut scratch, maps.depth)?;
+            // A program of all modes gives the same.
+            let mut depth = vec![f32::NAN; pixels];
+            let maps = FusedMaps {
+                depth: &mut depth,
+                attention: Some(&mut fused.attention),
+                ground: Some(&mut fused.ground),
+            };
+            let (scratch, slope) = (&mut scratch, None::<&SlopeHead<'_, 8>>);
+            fusion.any_mode(ground, &residual, None, slope, scratch, maps)?;
+            assert_eq!(depth, fused.depth);
+            assert!(
+                [&fused.attention, &fused.ground]
+                    .into_iter()
+                    .flatten()
+                    .all(|m| *m == 0.0)
+            );
+        }
         Mode::Vanilla => fusion.vanilla(ground, &residual, &attention, &mut scratch, maps)?,
         Mode::Adaptive => {
             fusion.adaptive(ground, &residual, &attention, &slope, &mut scratch, maps)?
@@ -338,6 +368,7 @@ fn agrees(case: &Case, mode: Mode) -> Result<(), TestCaseError> {
     let residual = spread(&case.residual, &|x| match case.units.0 {
         ResidualUnit::Metres => x,
         ResidualUnit::LogMetres => x.exp(),
+        ResidualUnit::LogMetresPerPixel { focal_length } => f64::from(focal_length) * x.exp(),
     });
     let attention = spread(&case.attention, &|x| match case.units.1 {
         AttentionUnit::Logit => 1.0 / (1.0 + (-x).exp()),

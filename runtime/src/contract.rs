@@ -10,15 +10,16 @@
 //! | `mode` | `baseline`, `vanilla`, `adaptive` | all |
 //! | `fusion` | `runtime` (the outputs are heads), `graph` (the output is the depth, metres) | all |
 //! | `input` | name of the input, f32 `[1, channels, height, width]` | all |
-//! | `channels` | list of `red`, `green`, `blue`, `inverse_ground_depth`, `ground_depth`, `ground_depth_unfiltered` | all |
+//! | `channels` | list of `red`, `green`, `blue`, `ground_pixels_per_metre`, `inverse_ground_depth`, `ground_depth`, `ground_depth_unfiltered` | all |
 //! | `mean`, `std` | three numbers each, of red, green and blue in 0 to 255, whatever the order of the channels | all |
 //! | `size_multiple` | height and width are multiples of this | all |
 //! | `nominal_size` | `WIDTHxHEIGHT` the network was made for | all |
 //! | `fit` | `resize` (default), `crop`: bottom-centre crop, no resampling | optional |
-//! | `ground_scale_m` | metres; see [`GroundChannel`] | a ground channel |
+//! | `ground_scale_px_per_m` | pixels per metre; see [`GroundChannel`] | `ground_pixels_per_metre` |
+//! | `ground_scale_m` | metres; see [`GroundChannel`] | `inverse_ground_depth`, `ground_depth` |
 //! | `ground_limit` | bound of the scaled channel; see [`GroundChannel`] | a scaled ground channel |
 //! | `residual` | name of the output `[1, 1, h, w]`; with `fusion` = `graph`, of the depth | all |
-//! | `residual_form` | `depth` (metres), `log_depth` (natural logarithm of metres) | fusion in the runtime |
+//! | `residual_form` | `depth` (metres), `log_depth` (its natural logarithm), `log_metres_per_pixel` (that of `z / f`) | fusion in the runtime |
 //! | `attention`, `attention_form` | name of the output; `logit`, `probability` | vanilla, adaptive in the runtime |
 //! | `slope` | name of the output `[1, classes, h, w]`, logits | adaptive in the runtime |
 //! | `slope_angles_deg` | one angle per class, degrees, ascending | as above |
@@ -28,13 +29,16 @@
 //! | `depth_range_m` | `MIN,MAX` of the depth, metres; ground beyond `MAX` counts as none | all |
 //! | `stride` | input pixels per pixel of the heads; for people, the outputs tell | optional |
 //! | `network`, `training` | one line of text each | optional |
+//!
+//! `f` is the focal length `sqrt(fx fy)` in pixels of the network's input, so `z / f` is what a pixel spans there, and `f / z` what spans
+//! a metre. A network that sees and tells these need not know the lens.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
 use gedepth_core::Angle;
-use gedepth_core::fusion::{AttentionUnit, DecodeAt, DepthRange, ResidualUnit, Upsampling};
+use gedepth_core::fusion::{AttentionUnit, DecodeAt, DepthRange, Upsampling};
 use gedepth_core::slope::{SlopeClasses, SlopeSign};
 
 const PREFIX: &str = "gedepth.";
@@ -70,6 +74,8 @@ pub enum Channel {
 /// The forms in which a network sees the ground; `z` is the planar ground depth in metres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GroundChannel {
+    /// `clamp(f / z / ground_scale_px_per_m, -ground_limit, ground_limit)`, with its sign above the vanishing line.
+    PixelsPerMetre,
     /// `clamp(ground_scale_m / z, -ground_limit, ground_limit)`, with its sign above the vanishing line.
     InverseDepth,
     /// `z / ground_scale_m`, 0 where there is no ground or `z > ground_limit` metres (the reference: both 200).
@@ -86,6 +92,17 @@ pub enum Fit {
     Resize,
     /// The bottom-centre part of the picture of exactly the network's size (KITTI's "KB crop").
     Crop,
+}
+
+/// What the residual head's numbers are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResidualForm {
+    /// Depth, metres.
+    Depth,
+    /// Natural logarithm of the depth in metres.
+    LogDepth,
+    /// Natural logarithm of `z / f`, metres per pixel of the network's input.
+    LogMetresPerPixel,
 }
 
 /// Where residual, attention and slope become depth.
@@ -138,14 +155,16 @@ pub struct Contract {
     pub nominal_size: (u32, u32),
     /// How a picture is brought to the network's size.
     pub fit: Fit,
-    /// Scale of the ground channels, metres; 1 where there is none.
+    /// Scale of [`GroundChannel::PixelsPerMetre`], pixels per metre; 1 where there is none.
+    pub ground_scale_px_per_m: f32,
+    /// Scale of the ground channels in metres; 1 where there is none.
     pub ground_scale_m: f32,
     /// Bound of the ground channels; see [`GroundChannel`].
     pub ground_limit: f32,
     /// Name of the residual output, or of the depth output where the graph fuses.
     pub residual: String,
     /// What its numbers are.
-    pub residual_unit: ResidualUnit,
+    pub residual_form: ResidualForm,
     /// The attention head; `None` in baselines and where the graph fuses.
     pub attention: Option<Attention>,
     /// The slope head; `None` unless adaptive and fused in the runtime.
@@ -302,12 +321,12 @@ impl Contract {
                 "the mode is baseline, but a channel shows the ground",
             ));
         }
-        let scaled = channels.iter().any(|c| {
-            matches!(
-                c,
-                Channel::Ground(GroundChannel::Depth | GroundChannel::InverseDepth)
-            )
-        });
+        let shows = |forms: &[GroundChannel]| {
+            let mut channels = channels.iter();
+            channels.any(|c| matches!(c, Channel::Ground(form) if forms.contains(form)))
+        };
+        let in_pixels = shows(&[GroundChannel::PixelsPerMetre]);
+        let in_metres = shows(&[GroundChannel::Depth, GroundChannel::InverseDepth]);
         let rgb = |n: &[f32]| n.len() == 3 && n.iter().all(|x| x.is_finite());
         let mean = entries.numbers("mean", ',', "three numbers", rgb)?;
         let std = entries.numbers("std", ',', "three positive numbers", |n: &[f32]| {
@@ -338,26 +357,38 @@ impl Contract {
             )?,
         };
         let positive = |n: &[f32]| matches!(n, [x] if x.is_finite() && *x > 0.0);
-        let (mut ground_scale_m, mut ground_limit) = (1.0, f32::MAX);
-        if scaled {
+        let (mut ground_scale_px_per_m, mut ground_scale_m, mut ground_limit) =
+            (1.0, 1.0, f32::MAX);
+        if in_pixels {
+            ground_scale_px_per_m = entries.numbers(
+                "ground_scale_px_per_m",
+                ',',
+                "a positive number of pixels per metre",
+                positive,
+            )?[0];
+        }
+        if in_metres {
             ground_scale_m = entries.numbers(
                 "ground_scale_m",
                 ',',
                 "a positive number of metres",
                 positive,
             )?[0];
+        }
+        if in_pixels || in_metres {
             ground_limit = entries.numbers("ground_limit", ',', "a positive number", positive)?[0];
         }
         let residual = entries.text("residual")?;
-        let residual_unit = match heads {
-            false => ResidualUnit::Metres,
+        let residual_form = match heads {
+            false => ResidualForm::Depth,
             true => entries.choice(
                 "residual_form",
                 &[
-                    ("depth", ResidualUnit::Metres),
-                    ("log_depth", ResidualUnit::LogMetres),
+                    ("depth", ResidualForm::Depth),
+                    ("log_depth", ResidualForm::LogDepth),
+                    ("log_metres_per_pixel", ResidualForm::LogMetresPerPixel),
                 ],
-                "depth or log_depth",
+                "depth, log_depth or log_metres_per_pixel",
             )?,
         };
         let attention = match mode != Mode::Baseline && heads {
@@ -408,9 +439,11 @@ impl Contract {
                         "it describes a head that its mode and place of fusion exclude",
                     )
                 }
-                "ground_scale_m" | "ground_limit" => ContractError::Contradictory(
-                    "it scales a ground channel that is not among its channels",
-                ),
+                "ground_scale_px_per_m" | "ground_scale_m" | "ground_limit" => {
+                    ContractError::Contradictory(
+                        "it scales a ground channel that is not among its channels",
+                    )
+                }
                 _ => ContractError::Unknown(unknown),
             });
         }
@@ -424,10 +457,11 @@ impl Contract {
             size_multiple,
             nominal_size: (nominal_size[0], nominal_size[1]),
             fit,
+            ground_scale_px_per_m,
             ground_scale_m,
             ground_limit,
             residual,
-            residual_unit,
+            residual_form,
             attention,
             slope,
             upsampling,
@@ -444,6 +478,7 @@ fn channels(list: String) -> Result<Vec<Channel>, ContractError> {
             "red" => Channel::Red,
             "green" => Channel::Green,
             "blue" => Channel::Blue,
+            "ground_pixels_per_metre" => Channel::Ground(GroundChannel::PixelsPerMetre),
             "inverse_ground_depth" => Channel::Ground(GroundChannel::InverseDepth),
             "ground_depth" => Channel::Ground(GroundChannel::Depth),
             "ground_depth_unfiltered" => Channel::Ground(GroundChannel::DepthUnfiltered),

@@ -4,12 +4,12 @@
 use std::time::{Duration, Instant};
 
 use gedepth_core::camera::{CameraModel, ImageSize};
-use gedepth_core::fusion::{FusedMaps, Fusion};
+use gedepth_core::fusion::{FusedMaps, Fusion, ResidualUnit};
 use gedepth_core::table::{GroundView, write_depth};
 
 use crate::Error;
 use crate::calibration::Calibration;
-use crate::contract::Contract;
+use crate::contract::{Contract, ResidualForm};
 use crate::engine::LayerTime;
 use crate::ground::OutputGround;
 use crate::heads::{fuse, outputs};
@@ -72,6 +72,7 @@ pub struct Estimator {
     preprocessor: Preprocessor,
     network: Network,
     fusion: Fusion,
+    residual_unit: ResidualUnit,
     output: ImageSize,
     output_ground: OutputGround,
     /// Of each thread.
@@ -125,12 +126,18 @@ impl Estimator {
         let network_camera = scaled(placement.network).map_err(unfit_camera)?;
         let mut plane = vec![0.0; network_camera.size().pixels()];
         GroundView::build(&mut plane, &network_camera, ground).map_err(unfit_camera)?;
+        let focal_length = network_camera.focal_length() as f32;
         let mut preprocessor = Preprocessor::new(&contract, picture, &placement);
         network.fill_input(|entrance| {
-            preprocessor.prepare(&contract, &plane, entrance);
+            preprocessor.prepare(&contract, (&plane, focal_length), entrance);
             Ok(())
         })?;
 
+        let residual_unit = match contract.residual_form {
+            ResidualForm::Depth => ResidualUnit::Metres,
+            ResidualForm::LogDepth => ResidualUnit::LogMetres,
+            ResidualForm::LogMetresPerPixel => ResidualUnit::LogMetresPerPixel { focal_length },
+        };
         let output_camera = match output_size {
             OutputSize::Network => network_camera,
             OutputSize::Picture => scaled(placement.region).map_err(unfit_camera)?,
@@ -148,6 +155,7 @@ impl Estimator {
             network,
             fusion: Fusion::new(contract.upsampling, contract.depth_range, farthest)
                 .map_err(unfit_model)?,
+            residual_unit,
             output,
             output_ground,
             scratch: Vec::new(),
@@ -263,11 +271,12 @@ impl Estimator {
         let maps = FusedMaps {
             depth: &mut self.depth,
             attention: (all_maps && has_attention).then_some(self.attention.as_mut_slice()),
-            ground: all_maps.then_some(self.ground.as_mut_slice()),
+            // A baseline's is the plane, made once.
+            ground: (all_maps && has_attention).then_some(self.ground.as_mut_slice()),
         };
         fuse(
             &self.contract,
-            &self.fusion,
+            (&self.fusion, self.residual_unit),
             (&heads, threads),
             &self.output_ground,
             &mut self.scratch,

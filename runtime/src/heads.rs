@@ -4,8 +4,8 @@ use std::sync::{Mutex, PoisonError};
 
 use gedepth_core::camera::ImageSize;
 use gedepth_core::fusion::{
-    AttentionHead, DecodeAt, FusedMaps, Fusion, HeadMap, ResidualHead, Samples, SlopeHead,
-    scratch_len,
+    AttentionHead, DecodeAt, FusedMaps, Fusion, HeadMap, ResidualHead, ResidualUnit, Samples,
+    SlopeHead, scratch_len,
 };
 use gedepth_core::table::GroundRows;
 
@@ -42,7 +42,11 @@ struct Heads<'a> {
 }
 
 impl<'a> Heads<'a> {
-    fn new(contract: &'a Contract, outputs: &'a Outputs<'_>) -> Result<Self, Error> {
+    fn new(
+        contract: &'a Contract,
+        residual_unit: ResidualUnit,
+        outputs: &'a Outputs<'_>,
+    ) -> Result<Self, Error> {
         let map = |index| {
             let (values, [channels, height, width]) = outputs.head(index)?;
             let side = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
@@ -67,7 +71,7 @@ impl<'a> Heads<'a> {
         Ok(Self {
             residual: ResidualHead {
                 map: map(0)?,
-                unit: contract.residual_unit,
+                unit: residual_unit,
                 decode_at: DecodeAt::HeadSize,
             },
             attention: contract.attention.as_ref().map(attention).transpose()?,
@@ -108,17 +112,14 @@ impl Loops for Stripe<'_> {
             attention,
             slope,
         } = &self.heads;
-        match attention {
-            None => fusion.baseline(ground.size(), residual, scratch, maps.depth),
-            Some(attention) => fusion.vanilla_or_adaptive(
-                ground,
-                residual,
-                attention,
-                slope.as_ref(),
-                scratch,
-                maps,
-            ),
-        }
+        fusion.any_mode(
+            ground,
+            residual,
+            attention.as_ref(),
+            slope.as_ref(),
+            scratch,
+            maps,
+        )
     }
 }
 
@@ -131,13 +132,13 @@ fn take<'a>(map: &mut &'a mut [f32], values: usize) -> &'a mut [f32] {
 /// time it allocates nothing, so long as `scratch` is the same.
 pub(crate) fn fuse(
     contract: &Contract,
-    fusion: &Fusion,
+    (fusion, residual_unit): (&Fusion, ResidualUnit),
     (outputs, team): (&Outputs<'_>, Option<Threads<'_>>),
     ground: &OutputGround,
     scratch: &mut Vec<Vec<f32>>,
     mut maps: FusedMaps<'_>,
 ) -> Result<(), Error> {
-    let heads = Heads::new(contract, outputs)?;
+    let heads = Heads::new(contract, residual_unit, outputs)?;
     let size = ground.size();
     let threads = team
         .as_ref()

@@ -106,6 +106,65 @@ fn every_real_frame_runs() {
     }
 }
 
+/// The ONNX file of `model` whose contract has `value` for `entry`. In protobuf the entry is `72 LENGTH 0a LENGTH key 12 LENGTH
+/// value`, each length one byte, and in nothing else whose length would change.
+fn with_entry(model: &[u8], entry: &str, value: &str) -> Vec<u8> {
+    let key = format!("gedepth.{entry}");
+    let at = (0..model.len())
+        .find(|&at| model[at..].starts_with(key.as_bytes()))
+        .expect("an entry");
+    let (start, value_at) = (at - 4, at + key.len() + 2);
+    let end = value_at + usize::from(model[value_at - 1]);
+    assert_eq!(usize::from(model[start + 1]), end - at + 2);
+    let length = |length: usize| u8::try_from(length).expect("one byte");
+    let mut changed = model[..start].to_vec();
+    changed.extend([0x72, length(key.len() + value.len() + 4), 0x0a]);
+    changed.push(length(key.len()));
+    changed.extend_from_slice(key.as_bytes());
+    changed.extend([0x12, length(value.len())]);
+    changed.extend_from_slice(value.as_bytes());
+    changed.extend_from_slice(&model[end..]);
+    changed
+}
+
+/// A residual over the focal length is times that of the network's input: of a picture of 1242 x 375 shrunk to 320 x 96, with pixels
+/// that are not quite square.
+#[test]
+fn residual_over_the_focal_length_is_times_that_of_the_networks_input() {
+    let street = root().join("fixtures/scenes/street");
+    let image = picture::read(&gedepth_tests::picture(&street)).expect("a picture");
+    let text = std::fs::read_to_string(street.join("calibration.json")).expect("a calibration");
+    let mut numbers: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    // A lens so wide that both depths are within the range.
+    (numbers["K"][0], numbers["K"][4]) = (4.0.into(), 9.0.into());
+    let file = std::env::temp_dir().join(format!("gedepth-focal-{}.json", std::process::id()));
+    std::fs::write(&file, numbers.to_string()).expect("written");
+    let calibration = Calibration::read(&file).expect("a calibration");
+    std::fs::remove_file(&file).expect("removed");
+    let path = root().join("fixtures/models/baseline-int8.onnx");
+    let bytes = std::fs::read(&path).expect("a model");
+    let depth = |form: &str| {
+        let model = with_entry(&bytes, "residual_form", form);
+        let model = Model::from_bytes(&path, &model).expect("a model");
+        let (size, network) = (image.dimensions(), Some((320, 96)));
+        let mut estimator =
+            Estimator::new(&model, &calibration, size, network, OutputSize::Network)
+                .expect("an estimator");
+        let estimate = estimator.run(Picture::from(&image)).expect("depth");
+        estimate.depth.to_vec()
+    };
+    let focal = f32::sqrt(4.0 * 320.0 / 1242.0 * 9.0 * 96.0 / 375.0);
+    let (plain, over_focal) = (depth("log_depth"), depth("log_metres_per_pixel"));
+    let mut compared = 0;
+    for (z, times) in plain.iter().zip(&over_focal) {
+        if (1.0..50.0).contains(z) {
+            assert!((times / (focal * z) - 1.0).abs() < 1e-5, "{z} {times}");
+            compared += 1;
+        }
+    }
+    assert!(compared > 10_000, "{compared}");
+}
+
 /// Ground and attention are made when asked for: of the picture that ran last, whichever ran or was asked about before, and
 /// beside the depth that the run gave.
 #[test]

@@ -107,7 +107,7 @@ static int32_t adaptive(void) {
 
 static gedepth_core_head head(uint32_t channels, uint32_t unit, uint32_t decode_at, const float *values) {
   gedepth_core_head made = {values,   channels * (W / 4) * (H / 4), GEDEPTH_CORE_F32, channels, W / 4, H / 4, unit,
-                            decode_at, 0.0f, 0};
+                            decode_at, 0.0f, 0, 0.0f};
   return made;
 }
 

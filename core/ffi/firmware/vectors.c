@@ -205,21 +205,26 @@ static void fusion(void) {
     for (uint32_t upsampling = GEDEPTH_CORE_HALF_PIXEL; upsampling <= GEDEPTH_CORE_ALIGN_CORNERS; upsampling++) {
       const gedepth_core_fusion settings = {upsampling, 0.1f, 80.0f, 150.0f};
       const gedepth_core_head residual_head = {
-          residual, HEAD, GEDEPTH_CORE_F32, 1, HEAD_W, HEAD_H, GEDEPTH_CORE_LOG_METRES, at, 0.0f, 0};
+          residual, HEAD, GEDEPTH_CORE_F32, 1, HEAD_W, HEAD_H, GEDEPTH_CORE_LOG_METRES, at, 0.0f, 0, 0.0f};
+      const gedepth_core_head residual_per_pixel_head = {residual, HEAD, GEDEPTH_CORE_F32, 1, HEAD_W, HEAD_H,
+                                                          GEDEPTH_CORE_LOG_METRES_PER_PIXEL, at, 0.0f, 0, 5.5f};
       const gedepth_core_head residual_u8_head = {
-          residual_u8, HEAD, GEDEPTH_CORE_U8, 1, HEAD_W, HEAD_H, GEDEPTH_CORE_METRES, at, 0.3f, 7};
+          residual_u8, HEAD, GEDEPTH_CORE_U8, 1, HEAD_W, HEAD_H, GEDEPTH_CORE_METRES, at, 0.3f, 7, 0.0f};
       const gedepth_core_head attention_head = {
-          attention, HEAD, GEDEPTH_CORE_F32, 1, HEAD_W, HEAD_H, GEDEPTH_CORE_LOGIT, at, 0.0f, 0};
+          attention, HEAD, GEDEPTH_CORE_F32, 1, HEAD_W, HEAD_H, GEDEPTH_CORE_LOGIT, at, 0.0f, 0, 0.0f};
       const gedepth_core_head slope_head = {
-          logits, CLASSES * HEAD, GEDEPTH_CORE_F32, CLASSES, HEAD_W, HEAD_H, GEDEPTH_CORE_LOGIT, at, 0.0f, 0};
+          logits, CLASSES * HEAD, GEDEPTH_CORE_F32, CLASSES, HEAD_W, HEAD_H, GEDEPTH_CORE_LOGIT, at, 0.0f, 0, 0.0f};
       const gedepth_core_head slope_i8_head = {
-          logits_i8, CLASSES * HEAD, GEDEPTH_CORE_I8, CLASSES, HEAD_W, HEAD_H, GEDEPTH_CORE_LOGIT, at, 0.033f, -3};
+          logits_i8, CLASSES * HEAD, GEDEPTH_CORE_I8, CLASSES, HEAD_W, HEAD_H, GEDEPTH_CORE_LOGIT, at, 0.033f, -3, 0.0f};
       size_t needed = gedepth_core_scratch_len(OUT_W, OUT_H, HEAD_W, CLASSES);
       ok("baseline", gedepth_core_fuse_baseline(&settings, OUT_W, OUT_H, &residual_head, scratch, needed, map_memory, OUT));
       print_sum("baseline", map_memory, OUT, sizeof(float));
       ok("baseline.u8",
          gedepth_core_fuse_baseline(&settings, OUT_W, OUT_H, &residual_u8_head, scratch, needed, map_memory, OUT));
       print_sum("baseline.u8", map_memory, OUT, sizeof(float));
+      ok("baseline.per_pixel",
+         gedepth_core_fuse_baseline(&settings, OUT_W, OUT_H, &residual_per_pixel_head, scratch, needed, map_memory, OUT));
+      print_sum("baseline.per_pixel", map_memory, OUT, sizeof(float));
       for (int i = 0; i < 4; i++) {
         ok("vanilla", gedepth_core_fuse_vanilla(&settings, &ground[i], &residual_head, &attention_head, scratch, needed,
                                                 &maps));

@@ -59,6 +59,9 @@
 // Attention as M itself, 0 to 1.
 #define GEDEPTH_CORE_PROBABILITY 4
 
+// Residual depth as natural logarithm of depth over focal length, the metres that a pixel of the network's input spans there.
+#define GEDEPTH_CORE_LOG_METRES_PER_PIXEL 5
+
 // Exponentials and softmax before upsampling: 4 to 16 times cheaper.
 #define GEDEPTH_CORE_DECODE_AT_HEAD 1
 
@@ -326,8 +329,8 @@ typedef struct gedepth_core_head {
   uint32_t width;
   // Rows.
   uint32_t height;
-  // Residual: GEDEPTH_CORE_METRES or GEDEPTH_CORE_LOG_METRES; attention: GEDEPTH_CORE_LOGIT or
-  // GEDEPTH_CORE_PROBABILITY; slope: GEDEPTH_CORE_LOGIT.
+  // Residual: GEDEPTH_CORE_METRES, GEDEPTH_CORE_LOG_METRES or GEDEPTH_CORE_LOG_METRES_PER_PIXEL; attention:
+  // GEDEPTH_CORE_LOGIT or GEDEPTH_CORE_PROBABILITY; slope: GEDEPTH_CORE_LOGIT.
   uint32_t unit;
   // GEDEPTH_CORE_DECODE_AT_HEAD or GEDEPTH_CORE_DECODE_AT_OUTPUT.
   uint32_t decode_at;
@@ -335,6 +338,8 @@ typedef struct gedepth_core_head {
   float scale;
   // Of 8-bit formats; not read for GEDEPTH_CORE_F32.
   int32_t zero_point;
+  // Of GEDEPTH_CORE_LOG_METRES_PER_PIXEL, sqrt(fx fy) of the network's input, pixels, positive; not read for others.
+  float focal_length;
 } gedepth_core_head;
 
 // A ground table: what the functions that make one fill in, and what fusion reads. Plain data; may be filled in by hand

@@ -38,6 +38,8 @@ pub const GEDEPTH_CORE_LOG_METRES: u32 = 2;
 pub const GEDEPTH_CORE_LOGIT: u32 = 3;
 /// Attention as M itself, 0 to 1.
 pub const GEDEPTH_CORE_PROBABILITY: u32 = 4;
+/// Residual depth as natural logarithm of depth over focal length, the metres that a pixel of the network's input spans there.
+pub const GEDEPTH_CORE_LOG_METRES_PER_PIXEL: u32 = 5;
 
 /// Exponentials and softmax before upsampling: 4 to 16 times cheaper.
 pub const GEDEPTH_CORE_DECODE_AT_HEAD: u32 = 1;
@@ -60,8 +62,8 @@ pub struct gedepth_core_head {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Residual: GEDEPTH_CORE_METRES or GEDEPTH_CORE_LOG_METRES; attention: GEDEPTH_CORE_LOGIT or
-    /// GEDEPTH_CORE_PROBABILITY; slope: GEDEPTH_CORE_LOGIT.
+    /// Residual: GEDEPTH_CORE_METRES, GEDEPTH_CORE_LOG_METRES or GEDEPTH_CORE_LOG_METRES_PER_PIXEL; attention:
+    /// GEDEPTH_CORE_LOGIT or GEDEPTH_CORE_PROBABILITY; slope: GEDEPTH_CORE_LOGIT.
     pub unit: u32,
     /// GEDEPTH_CORE_DECODE_AT_HEAD or GEDEPTH_CORE_DECODE_AT_OUTPUT.
     pub decode_at: u32,
@@ -69,6 +71,8 @@ pub struct gedepth_core_head {
     pub scale: f32,
     /// Of 8-bit formats; not read for GEDEPTH_CORE_F32.
     pub zero_point: i32,
+    /// Of GEDEPTH_CORE_LOG_METRES_PER_PIXEL, sqrt(fx fy) of the network's input, pixels, positive; not read for others.
+    pub focal_length: f32,
 }
 
 /// What all modes have in common.
@@ -109,6 +113,7 @@ const UNKNOWN_CHOICE: Failure = Failure(GEDEPTH_CORE_UNKNOWN_CHOICE);
 struct HeadInput<'a> {
     map: HeadMap<'a>,
     unit: u32,
+    focal_length: f32,
     decode_at: DecodeAt,
     spans: [Span; 2],
 }
@@ -163,6 +168,7 @@ impl HeadInput<'_> {
             Ok(Self {
                 map,
                 unit: head.unit,
+                focal_length: head.focal_length,
                 decode_at,
                 spans: [descriptor, span],
             })
@@ -194,6 +200,9 @@ fn residual<'a>(head: &HeadInput<'a>) -> Result<ResidualHead<'a>> {
         unit: match head.unit {
             GEDEPTH_CORE_METRES => ResidualUnit::Metres,
             GEDEPTH_CORE_LOG_METRES => ResidualUnit::LogMetres,
+            GEDEPTH_CORE_LOG_METRES_PER_PIXEL => ResidualUnit::LogMetresPerPixel {
+                focal_length: head.focal_length,
+            },
             _ => return Err(UNKNOWN_CHOICE),
         },
         decode_at: head.decode_at,

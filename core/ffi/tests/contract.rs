@@ -419,6 +419,13 @@ fn fusion_refuses() {
             s.slope.format = GEDEPTH_CORE_I8;
             s.slope.zero_point = 128;
         }),
+        (GEDEPTH_CORE_FOCAL_LENGTH, |s| {
+            s.residual.unit = GEDEPTH_CORE_LOG_METRES_PER_PIXEL;
+            s.residual.focal_length = 0.0;
+        }),
+        (GEDEPTH_CORE_UNKNOWN_CHOICE, |s| {
+            s.attention.unit = GEDEPTH_CORE_LOG_METRES_PER_PIXEL
+        }),
         (GEDEPTH_CORE_ZERO_POINT, |s| {
             s.slope.format = GEDEPTH_CORE_U8;
             s.slope.zero_point = -1;

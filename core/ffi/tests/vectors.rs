@@ -241,6 +241,10 @@ fn fusion(lines: &mut Lines) {
                 unit: ResidualUnit::Metres,
                 decode_at,
             };
+            let per_pixel = ResidualHead {
+                unit: ResidualUnit::LogMetresPerPixel { focal_length: 5.5 },
+                ..residual
+            };
             let attention = AttentionHead {
                 map: map(Samples::F32(&attention), 1),
                 unit: AttentionUnit::Logit,
@@ -263,7 +267,11 @@ fn fusion(lines: &mut Lines) {
                 classes: &classes,
                 decode_at,
             };
-            for (name, residual) in [("baseline", &residual), ("baseline.u8", &residual_u8)] {
+            for (name, residual) in [
+                ("baseline", &residual),
+                ("baseline.u8", &residual_u8),
+                ("baseline.per_pixel", &per_pixel),
+            ] {
                 let depth = &mut maps[..size.pixels()];
                 fusion
                     .baseline(size, residual, &mut scratch, depth)

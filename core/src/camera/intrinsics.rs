@@ -26,8 +26,8 @@ pub struct Intrinsics {
     skew: f64,
 }
 
-const FOCAL_MIN: f64 = 1e-2;
-const FOCAL_MAX: f64 = 1e7;
+/// Pixels; of either sign where pictures are flipped.
+pub(crate) const FOCAL_LENGTHS: core::ops::RangeInclusive<f64> = 1e-2..=1e7;
 const OFFSET_MAX: f64 = 1e6;
 
 impl Intrinsics {
@@ -37,7 +37,7 @@ impl Intrinsics {
     /// [`Error::FocalLength`] outside 0.01 to 1e7, [`Error::PrincipalPoint`] beyond +-1e6, or not finite.
     pub fn new(size: ImageSize, fx: f64, fy: f64, cx: f64, cy: f64) -> Result<Self, Error> {
         for focal in [fx, fy] {
-            if !(FOCAL_MIN..=FOCAL_MAX).contains(&focal) {
+            if !FOCAL_LENGTHS.contains(&focal) {
                 return Err(Error::FocalLength(focal));
             }
         }
@@ -97,7 +97,7 @@ impl Intrinsics {
     /// What every way of making intrinsics must keep.
     fn checked(self) -> Result<Self, Error> {
         for focal in [self.fx, self.fy] {
-            if !(FOCAL_MIN..=FOCAL_MAX).contains(&focal.abs()) {
+            if !FOCAL_LENGTHS.contains(&focal.abs()) {
                 return Err(Error::FocalLength(focal));
             }
         }

@@ -113,7 +113,7 @@ impl<'a, 's> Plane<'a, 's> {
     ) -> Result<Self, Error> {
         let decoding = match head.unit {
             ResidualUnit::Metres => Decoding::Metres,
-            ResidualUnit::LogMetres => Decoding::LogMetres,
+            ResidualUnit::LogMetres | ResidualUnit::LogMetresPerPixel { .. } => Decoding::LogMetres,
         };
         let (map, at) = (head.map, head.decode_at);
         Self::new(

@@ -1,7 +1,7 @@
 //! What a network hands over: maps, and what their values mean.
 
 use crate::Error;
-use crate::camera::ImageSize;
+use crate::camera::{FOCAL_LENGTHS, ImageSize};
 use crate::error::Head;
 use crate::slope::SlopeClasses;
 
@@ -196,12 +196,39 @@ pub enum DecodeAt {
 }
 
 /// What a residual head's values are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ResidualUnit {
     /// Metres.
     Metres,
     /// Natural logarithm of metres.
     LogMetres,
+    /// Natural logarithm of depth over focal length: of the metres that a pixel of the network's input spans at that depth. A
+    /// thing of known size tells them, whatever the lens.
+    LogMetresPerPixel {
+        /// `sqrt(fx fy)` of the network's input, pixels.
+        focal_length: f32,
+    },
+}
+
+impl ResidualUnit {
+    /// What decoded values are to be multiplied with to be metres: after upsampling, with what is done to every pixel
+    /// there, so that there is no loop more.
+    ///
+    /// # Errors
+    /// [`Error::FocalLength`] outside 0.01 to 1e7.
+    pub(super) fn metres(self) -> Result<f32, Error> {
+        match self {
+            Self::Metres | Self::LogMetres => Ok(1.0),
+            Self::LogMetresPerPixel { focal_length } => {
+                let focal = f64::from(focal_length);
+                if FOCAL_LENGTHS.contains(&focal) {
+                    Ok(focal_length)
+                } else {
+                    Err(Error::FocalLength(focal))
+                }
+            }
+        }
+    }
 }
 
 /// What an attention head's values are.
@@ -216,7 +243,7 @@ pub enum AttentionUnit {
 /// The residual depth: one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ResidualHead<'a> {
-    /// The values; beyond +-1e6 m they are clamped to that.
+    /// The values; beyond +-1e6 m, or 1e6 m a pixel, they are clamped to that.
     pub map: HeadMap<'a>,
     /// What they are.
     pub unit: ResidualUnit,

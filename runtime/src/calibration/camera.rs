@@ -63,6 +63,17 @@ impl Camera {
         })
     }
 
+    /// `sqrt(|fx fy|)`, pixels.
+    pub fn focal_length(&self) -> f64 {
+        let [[fx, ..], [_, fy, _], _] = match self {
+            Self::Pinhole(camera) => camera.intrinsics(),
+            Self::BrownConrady(camera) => camera.intrinsics(),
+            Self::KannalaBrandt(camera) => camera.intrinsics(),
+        }
+        .matrix();
+        (fx * fy).abs().sqrt()
+    }
+
     fn model(&self) -> &dyn CameraModel {
         match self {
             Self::Pinhole(camera) => camera,

@@ -115,6 +115,7 @@ impl Scene {
             decode_at: GEDEPTH_CORE_DECODE_AT_HEAD,
             scale: 0.1,
             zero_point: 3,
+            focal_length: f32::NAN,
         };
         let angles = vec![-0.05, 0.0, 0.05];
         let scratch = vec![0.0; gedepth_core_scratch_len(W, H, HEAD_W, CLASSES)];
