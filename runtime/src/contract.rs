@@ -10,13 +10,12 @@
 //! | `mode` | `baseline`, `vanilla`, `adaptive` | all |
 //! | `fusion` | `runtime` (the outputs are heads), `graph` (the output is the depth, metres) | all |
 //! | `input` | name of the input, f32 `[1, channels, height, width]` | all |
-//! | `channels` | list of `red`, `green`, `blue`, `ground_pixels_per_metre`, `inverse_ground_depth`, `ground_depth`, `ground_depth_unfiltered` | all |
+//! | `channels` | list of `red`, `green`, `blue`, `inverse_ground_depth`, `ground_depth`, `ground_depth_unfiltered` | all |
 //! | `mean`, `std` | three numbers each, of red, green and blue in 0 to 255, whatever the order of the channels | all |
 //! | `size_multiple` | height and width are multiples of this | all |
 //! | `nominal_size` | `WIDTHxHEIGHT` the network was made for | all |
 //! | `fit` | `resize` (default), `crop`: bottom-centre crop, no resampling | optional |
-//! | `ground_scale_px_per_m` | pixels per metre; see [`GroundChannel`] | `ground_pixels_per_metre` |
-//! | `ground_scale_m` | metres; see [`GroundChannel`] | `inverse_ground_depth`, `ground_depth` |
+//! | `ground_scale_m` | metres; see [`GroundChannel`] | a ground channel |
 //! | `ground_limit` | bound of the scaled channel; see [`GroundChannel`] | a scaled ground channel |
 //! | `residual` | name of the output `[1, 1, h, w]`; with `fusion` = `graph`, of the depth | all |
 //! | `residual_form` | `depth` (metres), `log_depth` (its natural logarithm), `log_metres_per_pixel` (that of `z / f`) | fusion in the runtime |
@@ -30,8 +29,8 @@
 //! | `stride` | input pixels per pixel of the heads; for people, the outputs tell | optional |
 //! | `network`, `training` | one line of text each | optional |
 //!
-//! `f` is the focal length `sqrt(fx fy)` in pixels of the network's input, so `z / f` is what a pixel spans there, and `f / z` what spans
-//! a metre. A network that sees and tells these need not know the lens.
+//! `f` is the focal length `sqrt(fx fy)` in pixels of the network's input: `z / f` is what a pixel spans there, and what a thing of known
+//! size tells, whatever the lens.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -74,8 +73,6 @@ pub enum Channel {
 /// The forms in which a network sees the ground; `z` is the planar ground depth in metres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GroundChannel {
-    /// `clamp(f / z / ground_scale_px_per_m, -ground_limit, ground_limit)`, with its sign above the vanishing line.
-    PixelsPerMetre,
     /// `clamp(ground_scale_m / z, -ground_limit, ground_limit)`, with its sign above the vanishing line.
     InverseDepth,
     /// `z / ground_scale_m`, 0 where there is no ground or `z > ground_limit` metres (the reference: both 200).
@@ -155,9 +152,7 @@ pub struct Contract {
     pub nominal_size: (u32, u32),
     /// How a picture is brought to the network's size.
     pub fit: Fit,
-    /// Scale of [`GroundChannel::PixelsPerMetre`], pixels per metre; 1 where there is none.
-    pub ground_scale_px_per_m: f32,
-    /// Scale of the ground channels in metres; 1 where there is none.
+    /// Scale of the ground channels, metres; 1 where there is none.
     pub ground_scale_m: f32,
     /// Bound of the ground channels; see [`GroundChannel`].
     pub ground_limit: f32,
@@ -321,12 +316,12 @@ impl Contract {
                 "the mode is baseline, but a channel shows the ground",
             ));
         }
-        let shows = |forms: &[GroundChannel]| {
-            let mut channels = channels.iter();
-            channels.any(|c| matches!(c, Channel::Ground(form) if forms.contains(form)))
-        };
-        let in_pixels = shows(&[GroundChannel::PixelsPerMetre]);
-        let in_metres = shows(&[GroundChannel::Depth, GroundChannel::InverseDepth]);
+        let scaled = channels.iter().any(|c| {
+            matches!(
+                c,
+                Channel::Ground(GroundChannel::Depth | GroundChannel::InverseDepth)
+            )
+        });
         let rgb = |n: &[f32]| n.len() == 3 && n.iter().all(|x| x.is_finite());
         let mean = entries.numbers("mean", ',', "three numbers", rgb)?;
         let std = entries.numbers("std", ',', "three positive numbers", |n: &[f32]| {
@@ -357,25 +352,14 @@ impl Contract {
             )?,
         };
         let positive = |n: &[f32]| matches!(n, [x] if x.is_finite() && *x > 0.0);
-        let (mut ground_scale_px_per_m, mut ground_scale_m, mut ground_limit) =
-            (1.0, 1.0, f32::MAX);
-        if in_pixels {
-            ground_scale_px_per_m = entries.numbers(
-                "ground_scale_px_per_m",
-                ',',
-                "a positive number of pixels per metre",
-                positive,
-            )?[0];
-        }
-        if in_metres {
+        let (mut ground_scale_m, mut ground_limit) = (1.0, f32::MAX);
+        if scaled {
             ground_scale_m = entries.numbers(
                 "ground_scale_m",
                 ',',
                 "a positive number of metres",
                 positive,
             )?[0];
-        }
-        if in_pixels || in_metres {
             ground_limit = entries.numbers("ground_limit", ',', "a positive number", positive)?[0];
         }
         let residual = entries.text("residual")?;
@@ -439,11 +423,9 @@ impl Contract {
                         "it describes a head that its mode and place of fusion exclude",
                     )
                 }
-                "ground_scale_px_per_m" | "ground_scale_m" | "ground_limit" => {
-                    ContractError::Contradictory(
-                        "it scales a ground channel that is not among its channels",
-                    )
-                }
+                "ground_scale_m" | "ground_limit" => ContractError::Contradictory(
+                    "it scales a ground channel that is not among its channels",
+                ),
                 _ => ContractError::Unknown(unknown),
             });
         }
@@ -457,7 +439,6 @@ impl Contract {
             size_multiple,
             nominal_size: (nominal_size[0], nominal_size[1]),
             fit,
-            ground_scale_px_per_m,
             ground_scale_m,
             ground_limit,
             residual,
@@ -478,7 +459,6 @@ fn channels(list: String) -> Result<Vec<Channel>, ContractError> {
             "red" => Channel::Red,
             "green" => Channel::Green,
             "blue" => Channel::Blue,
-            "ground_pixels_per_metre" => Channel::Ground(GroundChannel::PixelsPerMetre),
             "inverse_ground_depth" => Channel::Ground(GroundChannel::InverseDepth),
             "ground_depth" => Channel::Ground(GroundChannel::Depth),
             "ground_depth_unfiltered" => Channel::Ground(GroundChannel::DepthUnfiltered),

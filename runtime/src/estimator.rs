@@ -126,17 +126,18 @@ impl Estimator {
         let network_camera = scaled(placement.network).map_err(unfit_camera)?;
         let mut plane = vec![0.0; network_camera.size().pixels()];
         GroundView::build(&mut plane, &network_camera, ground).map_err(unfit_camera)?;
-        let focal_length = network_camera.focal_length() as f32;
         let mut preprocessor = Preprocessor::new(&contract, picture, &placement);
         network.fill_input(|entrance| {
-            preprocessor.prepare(&contract, (&plane, focal_length), entrance);
+            preprocessor.prepare(&contract, &plane, entrance);
             Ok(())
         })?;
 
         let residual_unit = match contract.residual_form {
             ResidualForm::Depth => ResidualUnit::Metres,
             ResidualForm::LogDepth => ResidualUnit::LogMetres,
-            ResidualForm::LogMetresPerPixel => ResidualUnit::LogMetresPerPixel { focal_length },
+            ResidualForm::LogMetresPerPixel => ResidualUnit::LogMetresPerPixel {
+                focal_length: network_camera.focal_length() as f32,
+            },
         };
         let output_camera = match output_size {
             OutputSize::Network => network_camera,

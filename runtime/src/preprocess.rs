@@ -189,16 +189,9 @@ impl Preprocessor {
         }
     }
 
-    /// Writes what does not depend on the picture. `ground` is the network's pixels' inverse ground depth, 1/m, and the focal length
-    /// in these pixels.
-    pub(crate) fn prepare(
-        &mut self,
-        contract: &Contract,
-        (ground, focal_length): (&[f32], f32),
-        entrance: Entrance<'_>,
-    ) {
-        let value =
-            |form| move |&inverse: &f32| ground_value(form, inverse, focal_length, contract);
+    /// Writes what does not depend on the picture. `ground` is the network's pixels' inverse ground depth, 1/m.
+    pub(crate) fn prepare(&mut self, contract: &Contract, ground: &[f32], entrance: Entrance<'_>) {
+        let value = |form| move |&inverse: &f32| ground_value(form, inverse, contract);
         let threads = match entrance {
             Entrance::Planes(planes) => {
                 for (plane, source) in planes.chunks_exact_mut(ground.len()).zip(&self.channels) {
@@ -296,12 +289,9 @@ impl<P: FnMut(usize, [u8; 3])> Loops for ResampledRow<'_, P> {
 }
 
 /// What a ground channel holds where the inverse ground depth is `inverse` (1/m).
-fn ground_value(form: GroundChannel, inverse: f32, focal_length: f32, contract: &Contract) -> f32 {
+fn ground_value(form: GroundChannel, inverse: f32, contract: &Contract) -> f32 {
     let (scale, limit) = (contract.ground_scale_m, contract.ground_limit);
     match form {
-        GroundChannel::PixelsPerMetre => {
-            (focal_length * inverse / contract.ground_scale_px_per_m).clamp(-limit, limit)
-        }
         GroundChannel::InverseDepth => (scale * inverse).clamp(-limit, limit),
         GroundChannel::Depth => {
             let z = depth_from_inverse(inverse);
@@ -317,9 +307,6 @@ mod tests {
     use super::*;
     use crate::engine::{Engine, Kernel};
     use crate::model::Network;
-
-    /// Focal length, pixels.
-    const FOCAL: f32 = 350.0;
 
     fn contract(entries: &[(&str, &str)]) -> Contract {
         let all = [
@@ -342,7 +329,7 @@ mod tests {
     fn fill(contract: &Contract, placement: &Placement, picture: Picture<'_>, planes: &mut [f32]) {
         let ground = vec![0.0; planes.len() / contract.channels.len()];
         let mut preprocessor = Preprocessor::new(contract, picture.size(), placement);
-        preprocessor.prepare(contract, (&ground, FOCAL), Entrance::Planes(planes));
+        preprocessor.prepare(contract, &ground, Entrance::Planes(planes));
         preprocessor
             .fill(picture, Entrance::Planes(planes))
             .expect("filled");
@@ -411,15 +398,9 @@ mod tests {
     #[test]
     fn ground_channels_are_what_their_forms_say() {
         let mut contract = contract(&[]);
-        contract.ground_scale_px_per_m = 35.0;
         contract.ground_scale_m = 8.0;
         contract.ground_limit = 2.5;
-        let shown =
-            |form| [0.2, 10.0, -10.0].map(|inverse| ground_value(form, inverse, FOCAL, &contract));
-        assert_eq!(
-            shown(GroundChannel::PixelsPerMetre),
-            [350.0 / 5.0 / 35.0, 2.5, -2.5]
-        );
+        let shown = |form| [0.2, 10.0, -10.0].map(|inverse| ground_value(form, inverse, &contract));
         assert_eq!(shown(GroundChannel::InverseDepth), [8.0 / 5.0, 2.5, -2.5]);
         assert_eq!(shown(GroundChannel::Depth), [0.0, 0.1 / 8.0, 0.0]);
         assert_eq!(shown(GroundChannel::DepthUnfiltered), [5.0, 0.1, -0.1]);
@@ -573,7 +554,7 @@ mod tests {
         let ground: Vec<f32> = (0..64 * 32).map(|i| i as f32 * 4e-4 - 0.4).collect();
         let mut preprocessor = Preprocessor::new(contract, picture_size, &placement);
         let mut planes = vec![0.0; contract.channels.len() * ground.len()];
-        preprocessor.prepare(contract, (&ground, FOCAL), Entrance::Planes(&mut planes));
+        preprocessor.prepare(contract, &ground, Entrance::Planes(&mut planes));
         preprocessor
             .fill(picture, Entrance::Planes(&mut planes))
             .expect("filled");
@@ -594,7 +575,7 @@ mod tests {
         let from_planes = heads(&mut network);
         network
             .fill_input(|entrance| {
-                preprocessor.prepare(contract, (&ground, FOCAL), entrance);
+                preprocessor.prepare(contract, &ground, entrance);
                 Ok(())
             })
             .expect("filled");

@@ -142,13 +142,8 @@ fn contradictions_and_unknown_entries_are_refused() {
         vec![("mode", Some("vanilla"))],
         // In-graph fusion leaves no heads.
         vec![("fusion", Some("graph"))],
-        // Scales without a channel that they scale, or of another form's.
+        // Scales without a channel that they scale.
         vec![("channels", Some("red,green,blue"))],
-        vec![("ground_scale_px_per_m", Some("30"))],
-        vec![
-            ("channels", Some("red,green,blue,ground_pixels_per_metre")),
-            ("ground_scale_px_per_m", Some("30")),
-        ],
     ] {
         let contract = changed(&changes);
         assert!(
@@ -163,34 +158,16 @@ fn contradictions_and_unknown_entries_are_refused() {
     );
 }
 
-/// Ground and residual of a network that need not know the lens.
 #[test]
-fn a_contract_in_pixels_per_metre_is_read() {
-    let mut changes = vec![
-        ("channels", Some("red,green,blue,ground_pixels_per_metre")),
-        ("ground_scale_px_per_m", Some("30")),
-        ("ground_scale_m", None),
-        ("residual_form", Some("log_metres_per_pixel")),
-    ];
-    let contract = changed(&changes).unwrap();
-    assert_eq!(
-        contract.channels[3],
-        Channel::Ground(GroundChannel::PixelsPerMetre)
-    );
-    assert_eq!(contract.ground_scale_px_per_m, 30.0);
-    assert_eq!(contract.residual_form, ResidualForm::LogMetresPerPixel);
-    changes[1].1 = None;
-    let missing = changed(&changes);
-    assert_eq!(
-        missing,
-        Err(ContractError::Missing("ground_scale_px_per_m"))
-    );
-    changes[1].1 = Some("-1");
-    let message = changed(&changes).unwrap_err().to_string();
-    assert!(
-        message.contains("a positive number of pixels per metre"),
-        "{message}"
-    );
+fn residuals_have_the_form_that_is_said() {
+    for (value, form) in [
+        ("depth", ResidualForm::Depth),
+        ("log_depth", ResidualForm::LogDepth),
+        ("log_metres_per_pixel", ResidualForm::LogMetresPerPixel),
+    ] {
+        let contract = changed(&[("residual_form", Some(value))]).unwrap();
+        assert_eq!(contract.residual_form, form);
+    }
 }
 
 #[test]
