@@ -20,7 +20,7 @@
 
 // The version of the binary interface: changes when something that was is no more, or means something else.
 // Additions do not change it.
-#define GEDEPTH_CORE_ABI_VERSION 1
+#define GEDEPTH_CORE_ABI_VERSION 2
 
 // No distortion.
 #define GEDEPTH_CORE_PINHOLE 1

@@ -33,7 +33,7 @@ use core::ffi::c_char;
 
 /// The version of the binary interface: changes when something that was is no more, or means something else.
 /// Additions do not change it.
-pub const GEDEPTH_CORE_ABI_VERSION: u32 = 1;
+pub const GEDEPTH_CORE_ABI_VERSION: u32 = 2;
 
 /// The library's GEDEPTH_CORE_ABI_VERSION; compare it with the header's before the first call.
 #[unsafe(no_mangle)]

@@ -234,7 +234,7 @@ fn every_number_is_used_once_and_has_a_text_of_its_own() {
 
 #[test]
 fn versions() {
-    assert_eq!(gedepth_core_ffi::gedepth_core_abi_version(), 1);
+    assert_eq!(gedepth_core_ffi::gedepth_core_abi_version(), 2);
     // SAFETY: static, ends with a zero.
     let version = unsafe { CStr::from_ptr(gedepth_core_ffi::gedepth_core_version()) };
     assert_eq!(version.to_str().unwrap(), env!("CARGO_PKG_VERSION"));
