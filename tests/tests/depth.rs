@@ -165,6 +165,27 @@ fn residual_over_the_focal_length_is_times_that_of_the_networks_input() {
     assert!(compared > 10_000, "{compared}");
 }
 
+/// A baseline's ground is the plane, as a vanilla network's is, whether or not its heads use it.
+#[test]
+fn a_baseline_shows_the_plane_too() {
+    let frame = root().join("fixtures/scenes/street");
+    let image = picture::read(&gedepth_tests::picture(&frame)).expect("a picture");
+    let calibration = Calibration::read(&frame.join("calibration.json")).expect("a calibration");
+    let grounds = ["baseline-int8.onnx", "vanilla-int8.onnx"].map(|name| {
+        let (size, network) = (image.dimensions(), Some((320, 96)));
+        let model = shipped_model(name);
+        let mut estimator =
+            Estimator::new(&model, &calibration, size, network, OutputSize::Network)
+                .expect("an estimator");
+        estimator.run(Picture::from(&image)).expect("depth");
+        let maps = estimator.maps().expect("maps");
+        assert_eq!(maps.attention.is_some(), name.starts_with("vanilla"));
+        maps.ground.to_vec()
+    });
+    assert!(grounds[0].iter().filter(|z| **z > 0.0).count() > 10_000);
+    assert_eq!(grounds[0], grounds[1]);
+}
+
 /// Ground and attention are made when asked for: of the picture that ran last, whichever ran or was asked about before, and
 /// beside the depth that the run gave.
 #[test]
