@@ -95,7 +95,7 @@ impl Ground {
     /// # Errors
     /// [`Error::AngleNotFinite`], [`Error::CameraNotAboveGround`].
     pub fn from_mounting(height: f64, pitch: Angle, roll: Angle) -> Result<Self, Error> {
-        if !height.is_finite() {
+        if !(HEIGHT_MIN..=HEIGHT_MAX).contains(&height) {
             return Err(Error::CameraNotAboveGround { height });
         }
         let extrinsics = Extrinsics::from_mounting(&Mounting {

@@ -197,7 +197,7 @@ fn every_code_is_reached_and_says_what_was_wrong() {
         expect(GroundPlane::new(up, offset), 301, &offset.to_string(), seen);
     }
     let down: Direction<CameraFrame> = Direction::new(0.0, 1.0, 0.0).unwrap();
-    for height in [0.0, -1.5, 0.0009, 2e5, f64::NAN, f64::INFINITY] {
+    for height in [0.0, -1.5, 0.0009, 2e5, 2e9, -2e9, f64::NAN, f64::INFINITY] {
         expect(Ground::new(down, height), 302, &height.to_string(), seen);
         expect(
             Ground::from_mounting(height, Angle::ZERO, Angle::ZERO),

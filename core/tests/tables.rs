@@ -205,6 +205,33 @@ proptest! {
     }
 }
 
+/// A tolerance that is none allows no roll; without any roll, all distances are well.
+#[test]
+fn tolerances_that_are_none() {
+    let size = ImageSize::new(161, 90).unwrap();
+    let intrinsics = Intrinsics::centred(size, 120.0).unwrap();
+    let build = |roll: f64, relative_error, up_to| {
+        let ground = ground(1.5, 0.0, roll);
+        let coefficients = GroundCoefficients::new(&intrinsics, &ground);
+        let tolerance = RowTolerance {
+            relative_error,
+            up_to,
+        };
+        RowView::build(&mut [0.0; 90], &coefficients, tolerance).map(|_| ())
+    };
+    for (relative_error, up_to) in [
+        (0.01, -80.0),
+        (f64::NAN, 80.0),
+        (0.01, f64::NAN),
+        (-1.0, 80.0),
+        (0.01, f64::INFINITY),
+    ] {
+        let refused = build(20.0, relative_error, up_to);
+        assert!(matches!(refused, Err(Error::RollTooLarge { .. })));
+    }
+    assert_eq!(build(0.0, 0.01, f64::INFINITY), Ok(()));
+}
+
 /// On the vanishing line itself the depth is exactly 0, next to it 1 / value.
 #[test]
 fn the_line_is_exactly_zero() {

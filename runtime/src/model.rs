@@ -9,12 +9,12 @@ use std::sync::Arc;
 use tract_onnx::pb::tensor_proto::DataType;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::type_proto::Value as TypeValue;
-use tract_onnx::pb::{ModelProto, StringStringEntryProto};
+use tract_onnx::pb::{GraphProto, ModelProto, StringStringEntryProto};
 use tract_onnx::prelude::*;
 
 use crate::Error;
 use crate::contract::Contract;
-use crate::engine::{self, Engine, Entrance, LayerTime, Results, Threads, Whole};
+use crate::engine::{self, Engine, Entrance, LayerTime, Place, Results, Threads, Whole};
 use crate::inspection::{InspectedTensor, Inspection, PlanKind, Weights};
 
 /// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
@@ -23,7 +23,19 @@ static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onn
 /// Largest file that is read as a model, bytes: protobuf's own limit.
 const MAX_FILE_BYTES: u64 = 1 << 31;
 /// Greatest number of pixels that a network is run at.
-const MAX_PIXELS: u64 = 1 << 24;
+pub(crate) const MAX_PIXELS: u64 = 1 << 24;
+
+/// Longest side of what a network is run at.
+const MAX_SIDE: u32 = 16384;
+/// Attributes of nodes that are numbers of pixels.
+const WINDOWS: [&str; 6] = [
+    "dilations",
+    "kernel_shape",
+    "output_padding",
+    "output_shape",
+    "pads",
+    "strides",
+];
 
 /// Width and height, pixels.
 pub type Size = (u32, u32);
@@ -70,12 +82,17 @@ impl Model {
         let mut proto = tract_onnx::onnx()
             .proto_model_for_read(&mut bytes)
             .map_err(|_| unfit("not an ONNX file".to_owned()))?;
-        engine::to_qdq(&mut proto);
-        if proto.graph.is_none() {
+        let Some(graph) = &proto.graph else {
             return Err(unfit(
                 "not an ONNX file: there is no graph in it".to_owned(),
             ));
-        }
+        };
+        check_nodes(graph).map_err(unfit)?;
+        guarded(|| {
+            engine::to_qdq(&mut proto);
+            Ok(())
+        })
+        .map_err(unfit)?;
         let metadata = proto
             .metadata_props
             .iter()
@@ -110,6 +127,24 @@ impl Model {
         let size = self.fixed_size.unwrap_or(self.contract.nominal_size);
         let network = Network::new(self, size, &[&self.contract.residual])?;
         let graph = self.proto.graph.as_ref();
+        let mut nodes =
+            guarded(|| Ok(self.engine.inspect(&self.proto))).map_err(|reason| Error::Model {
+                path: self.path.clone(),
+                reason,
+            })?;
+        let plan = network.kind();
+        if let PlanKind::Tract {
+            islands_refused: Some(reason),
+        } = &plan
+        {
+            for node in &mut nodes {
+                if matches!(node.place, Place::Engine { .. }) {
+                    node.place = Place::Tract {
+                        reason: format!("the engine cannot plan its part: {reason}"),
+                    };
+                }
+            }
+        }
         let entries = self.proto.metadata_props.iter();
         let entry = |e: &StringStringEntryProto| {
             Some((e.key.strip_prefix("gedepth.")?.to_owned(), e.value.clone()))
@@ -127,8 +162,8 @@ impl Model {
             outputs: graph.map_or(Vec::new(), |graph| InspectedTensor::all(&graph.output)),
             weights: Weights::of(&self.proto),
             size,
-            plan: network.kind(),
-            nodes: self.engine.inspect(&self.proto),
+            plan,
+            nodes,
         })
     }
 
@@ -193,6 +228,46 @@ impl fmt::Debug for Model {
     }
 }
 
+/// What neither tract nor the engine asks. Each node reads only what is there before it, as ONNX has it: what follows a tensor to where it
+/// comes from then ends. And no window is larger than any picture: tract would allocate for it, and end the process.
+fn check_nodes(graph: &GraphProto) -> Result<(), String> {
+    let inputs = graph.input.iter().map(|input| &input.name);
+    let weights = graph.initializer.iter().map(|tensor| &tensor.name);
+    let sparse = graph
+        .sparse_initializer
+        .iter()
+        .filter_map(|tensor| Some(&tensor.values.as_ref()?.name));
+    let mut there: HashSet<&str> = inputs
+        .chain(weights)
+        .chain(sparse)
+        .map(String::as_str)
+        .collect();
+    for node in &graph.node {
+        let missing = |name: &&String| !name.is_empty() && !there.contains(name.as_str());
+        if let Some(missing) = node.input.iter().find(missing) {
+            return Err(format!(
+                "its node {} `{}` reads `{missing}`, which nothing before it makes",
+                node.op_type, node.name
+            ));
+        }
+        there.extend(node.output.iter().map(String::as_str));
+        let windows = node
+            .attribute
+            .iter()
+            .filter(|a| WINDOWS.contains(&a.name.as_str()));
+        for attribute in windows {
+            let limit = u64::from(MAX_SIDE);
+            if let Some(wrong) = attribute.ints.iter().find(|n| n.unsigned_abs() > limit) {
+                return Err(format!(
+                    "its node {} `{}` has {wrong} among its {}: more than {limit} pixels",
+                    node.op_type, node.name, attribute.name
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
 /// Holds the graph against its contract; returns the size that the input fixes.
 fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, String> {
     let graph = proto.graph.as_ref().ok_or("there is no graph in it")?;
@@ -235,7 +310,11 @@ fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, 
             if batch.is_none_or(|n| n == 1) && c.is_none_or(|n| n == channels) =>
         {
             match (height, width) {
-                (Some(height @ 1..=16384), Some(width @ 1..=16384)) => {
+                (Some(height), Some(width))
+                    if [height, width]
+                        .iter()
+                        .all(|side| (1..=i64::from(MAX_SIDE)).contains(side)) =>
+                {
                     Ok(Some((width as u32, height as u32)))
                 }
                 (None, None) => Ok(None),
@@ -324,11 +403,15 @@ impl Network {
             })
         };
         // What the engine cannot do, tract does; what it cannot do after all, too.
-        let split = model.engine.split(&model.proto);
         let [_, channels, height, width] = shape;
-        let whole = split
-            .as_ref()
-            .and_then(|split| Whole::new(split, [channels, height, width]));
+        let (whole, split) = guarded(|| {
+            let split = model.engine.split(&model.proto);
+            let whole = split
+                .as_ref()
+                .and_then(|split| Whole::new(split, [channels, height, width]));
+            Ok((whole, split))
+        })
+        .map_err(unfit)?;
         let plan = match (whole, split) {
             (Some(whole), _) => Plan::Engine(Box::new(whole)),
             (None, Some(split)) => plan(&split, PlanKind::TractWithIslands)
@@ -476,19 +559,62 @@ impl Outputs<'_> {
     }
 }
 
-/// Runs a piece of tract. A broken file may make it panic; that must not take the caller with it.
+/// Does what depends on a model file. A broken one may make tract panic, or what looks for the engine's layers; that must not take the
+/// caller with it.
 fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(format!("{error:#}").replace('\n', " ")),
-        Err(_) => Err("tract panicked on it; the file is broken or unsupported".to_owned()),
+        Err(_) => Err("it made the program panic; the file is broken or unsupported".to_owned()),
     }
 }
 
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
+    use tract_onnx::pb::NodeProto;
+
     use super::*;
+
+    const NETWORKS: [&str; 4] = ["baseline", "vanilla", "adaptive", "large-adaptive"];
+
+    /// Whoever follows a tensor back to its makers would go round and round; and memory ends.
+    #[test]
+    fn nodes_out_of_order_and_windows_beyond_all_pictures_are_refused() {
+        let node = |input: &str, output: &str| NodeProto {
+            op_type: "Relu".to_owned(),
+            input: vec![input.to_owned(), String::new()],
+            output: vec![output.to_owned()],
+            ..NodeProto::default()
+        };
+        let graph = |nodes: &[NodeProto]| GraphProto {
+            input: vec![tract_onnx::pb::ValueInfoProto {
+                name: "x".to_owned(),
+                ..Default::default()
+            }],
+            node: nodes.to_vec(),
+            ..GraphProto::default()
+        };
+        let in_order = [node("x", "a"), node("a", "b")];
+        assert_eq!(check_nodes(&graph(&in_order)), Ok(()));
+        for wrong in [
+            [node("b", "a"), node("a", "b")],
+            [node("a", "b"), node("x", "a")],
+            [node("x", "a"), node("c", "b")],
+        ] {
+            let refused = check_nodes(&graph(&wrong)).expect_err("not in order");
+            assert!(refused.contains("nothing before it makes"), "{refused}");
+        }
+        for (pixels, taken) in [(16384, true), (-1, true), (16385, false), (i64::MIN, false)] {
+            let mut padded = node("x", "a");
+            padded.attribute = vec![tract_onnx::pb::AttributeProto {
+                name: "pads".to_owned(),
+                ints: vec![0, 0, 0, pixels],
+                ..Default::default()
+            }];
+            assert_eq!(check_nodes(&graph(&[padded])).is_ok(), taken, "{pixels}");
+        }
+    }
 
     fn models() -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models")
@@ -548,7 +674,7 @@ mod tests {
             kernel: engine::Kernel::best(),
             threads: 1,
         };
-        for mode in ["baseline", "vanilla", "adaptive", "large-adaptive"] {
+        for mode in NETWORKS {
             for (largest, _) in differences(&format!("{mode}-int8"), engine) {
                 assert!(largest < 1e-4, "{mode}: {largest}");
             }
@@ -557,7 +683,7 @@ mod tests {
 
     #[test]
     fn f32_networks_give_what_onnx_runtime_gives() {
-        for mode in ["baseline", "vanilla", "adaptive", "large-adaptive"] {
+        for mode in NETWORKS {
             for (largest, _) in differences(&format!("{mode}-f32"), Engine::Tract) {
                 assert!(largest < 1e-3, "{mode}: {largest}");
             }

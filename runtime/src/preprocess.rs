@@ -2,12 +2,12 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use gedepth_core::table::depth_from_inverse;
+use gedepth_core::table::{MIN_INVERSE_DEPTH, depth_from_inverse};
 
 use crate::Error;
 use crate::contract::{Channel, Contract, Fit, GroundChannel};
 use crate::engine::Entrance;
-use crate::model::{Model, Size};
+use crate::model::{MAX_PIXELS, Model, Size};
 use crate::resample::{Resampler, Scratch};
 use crate::vectors::{Loops, widest};
 
@@ -112,6 +112,17 @@ impl Placement {
                 ),
             },
         };
+        if u64::from(network.0) * u64::from(network.1) > MAX_PIXELS {
+            return Err(match asked {
+                Some(asked) => Error::NetworkSize {
+                    asked,
+                    reason: format!("more than {MAX_PIXELS} pixels"),
+                },
+                None => unfit(format!(
+                    "the network would run at {network:?}, more than {MAX_PIXELS} pixels; give it a size"
+                )),
+            });
+        }
         let region = match contract.fit {
             Fit::Crop if picture.0 < network.0 || picture.1 < network.1 => {
                 return Err(unfit(format!(
@@ -297,6 +308,8 @@ fn ground_value(form: GroundChannel, inverse: f32, contract: &Contract) -> f32 {
             let z = depth_from_inverse(inverse);
             if z <= limit { z / scale } else { 0.0 }
         }
+        // On the vanishing line itself there is no depth, and infinity would spoil all that a window over it makes.
+        GroundChannel::DepthUnfiltered if inverse.abs() < MIN_INVERSE_DEPTH => 0.0,
         GroundChannel::DepthUnfiltered => 1.0 / inverse,
     }
 }
@@ -404,6 +417,11 @@ mod tests {
         assert_eq!(shown(GroundChannel::InverseDepth), [8.0 / 5.0, 2.5, -2.5]);
         assert_eq!(shown(GroundChannel::Depth), [0.0, 0.1 / 8.0, 0.0]);
         assert_eq!(shown(GroundChannel::DepthUnfiltered), [5.0, 0.1, -0.1]);
+        // A row of pixels may lie on the vanishing line itself.
+        assert_eq!(
+            ground_value(GroundChannel::DepthUnfiltered, 0.0, &contract),
+            0.0
+        );
     }
 
     /// A picture whose brightness grows linearly stays linear, at the pixel centres that the intrinsics assume.
@@ -508,6 +526,16 @@ mod tests {
         ));
     }
 
+    /// A column of pixels at the nominal width would be more than a network is run at.
+    #[test]
+    fn pictures_far_too_tall_are_refused() {
+        let placement = place(&contract(&[]), (2, 4000), None, None);
+        assert!(
+            matches!(placement, Err(Error::PictureUnfit { .. })),
+            "{placement:?}"
+        );
+    }
+
     #[test]
     fn sizes_that_the_model_does_not_take_are_refused() {
         let contract = contract(&[]);
@@ -515,6 +543,7 @@ mod tests {
             (Some((640, 192)), (320, 96)),
             (None, (100, 96)),
             (None, (0, 96)),
+            (None, (8192, 4096)),
         ] {
             let placement = place(&contract, (1242, 375), fixed, Some(asked));
             assert!(

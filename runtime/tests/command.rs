@@ -56,6 +56,11 @@ fn assert_refused(output: &Output, code: i32, words: &[&str], out: &Path) {
     assert_eq!(written, 0, "something was written although: {message}");
 }
 
+fn inspect(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_gedepth"));
+    command.arg("inspect").args(arguments).output().unwrap()
+}
+
 struct Folder {
     dir: TempDir,
 }
@@ -108,8 +113,17 @@ fn writes_all_outputs_at_the_pictures_size() {
             "ground.png"
         ]
     );
+    for name in names {
+        let (width, height) = image::image_dimensions(folder.out().join(&name)).unwrap();
+        // Those in colours stand above a scale bar.
+        let bar = if ["depth_colours.png", "ground.png"].contains(&name.as_str()) {
+            32
+        } else {
+            0
+        };
+        assert_eq!((width, height), (size.0, size.1 + bar), "{name}");
+    }
     let depth = image::open(folder.out().join("depth.png")).unwrap();
-    assert_eq!((depth.width(), depth.height()), size);
     assert_eq!(depth.color(), image::ColorType::L16);
     let table = String::from_utf8(output.stdout).unwrap();
     for word in [
@@ -265,6 +279,15 @@ fn calibrations_that_are_none_are_refused() {
             ),
             vec!["distortion"],
         ),
+        (
+            changed(
+                "/distortion",
+                serde_json::json!({
+                    "model": "plumb_bob", "coefficients": [0, 0, 0, 0, 0], "coefficents": [-0.3, 0.1, 0, 0, 0],
+                }),
+            ),
+            vec!["coefficents"],
+        ),
     ] {
         let calibration = folder.file("calibration.json", &bad);
         let output = run(&scene().join("image.png"), &calibration, &[], &folder.out());
@@ -358,6 +381,72 @@ fn models_with_a_flipped_byte_never_panic_the_command() {
     }
 }
 
+/// A tensor's type is a byte that tract, for some, has no code for.
+#[test]
+fn models_with_another_type_of_tensor_never_panic_the_command() {
+    let folder = Folder::new();
+    let whole = fs::read(model()).unwrap();
+    let name = b"trunk.encoder.stem.bias_quantized";
+    let named = |at: &usize| whole[*at..].starts_with(name) && whole[at - 4..at - 2] == [0x10, 6];
+    let at = (4..whole.len()).find(named).unwrap() - 3;
+    for data_type in 0..24 {
+        let mut bytes = whole.clone();
+        bytes[at] = data_type;
+        let model = folder.file("model.onnx", bytes);
+        let output = inspect(&[model.to_str().unwrap()]);
+        let refused = output.status.code() == Some(MODEL_ERROR);
+        assert!(
+            refused || output.status.success(),
+            "{data_type}: {:?}",
+            output.status
+        );
+    }
+}
+
+/// Not a file with another's depth beside it, and none where another should be.
+#[test]
+fn outputs_of_an_earlier_run_do_not_stay_among_those_of_another() {
+    let folder = Folder::new();
+    let (picture, calibration) = (scene().join("image.png"), scene().join("calibration.json"));
+    let baseline = model().with_file_name("baseline-int8.onnx");
+    let baseline = ["--model", baseline.to_str().unwrap()];
+    assert!(
+        run(&picture, &calibration, &[], &folder.out())
+            .status
+            .success()
+    );
+    assert!(folder.out().join("attention.png").exists());
+    assert!(
+        run(&picture, &calibration, &baseline, &folder.out())
+            .status
+            .success()
+    );
+    assert!(!folder.out().join("attention.png").exists());
+
+    let before = fs::read(folder.out().join("depth.png")).unwrap();
+    fs::remove_file(folder.out().join("ground.png")).unwrap();
+    fs::create_dir(folder.out().join("ground.png")).unwrap();
+    let output = run(&picture, &calibration, &[], &folder.out());
+    assert_eq!(output.status.code(), Some(WRITE_ERROR));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("ground.png"));
+    assert_eq!(fs::read(folder.out().join("depth.png")).unwrap(), before);
+}
+
+/// A script must not take half a table for a whole one.
+#[test]
+fn a_standard_output_that_cannot_be_written_is_an_error() {
+    let Ok(full) = fs::File::options().write(true).open("/dev/full") else {
+        return;
+    };
+    let output = Command::new(env!("CARGO_BIN_EXE_gedepth"))
+        .args(["inspect", "--json"])
+        .stdout(full)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(WRITE_ERROR));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("standard output"));
+}
+
 #[test]
 fn an_output_folder_that_cannot_be_written_is_refused() {
     let folder = Folder::new();
@@ -395,6 +484,7 @@ fn wrong_calls_are_refused() {
     for more in [
         ["--network-size", "wide"],
         ["--network-size", "100x100"],
+        ["--network-size", "8192x4096"],
         ["--size", "1x1"],
     ] {
         let output = run_at(&picture, &calibration, &more, &folder.out());

@@ -199,18 +199,25 @@ impl Camera<'_> {
     }
 }
 
-/// Keeps the lens and replaces the ground.
+/// Keeps the lens and replaces the ground by what `ground` makes of `source`.
 ///
 /// # Safety
 /// The crate's.
-unsafe fn set_ground(
+unsafe fn set_ground<T: Copy>(
     camera: *mut gedepth_core_camera,
-    ground: impl FnOnce() -> Result<Ground>,
+    source: *const T,
+    ground: impl FnOnce(T) -> Result<Ground>,
 ) -> Result<()> {
+    // SAFETY: as said there.
+    let source = unsafe {
+        let memory = Array::one(camera.cast_const())?;
+        check_disjoint(&[memory.span()], &[Array::one(source)?.span()])?;
+        read(source)?
+    };
     // SAFETY: as said there.
     let state = unsafe { Camera::new(camera) }?.state;
     let state = State {
-        ground: Some(ground()?),
+        ground: Some(ground(source)?),
         ..*state
     };
     // SAFETY: `Camera::new` checked it.
@@ -245,9 +252,8 @@ pub unsafe extern "C" fn gedepth_core_camera_set_extrinsics(
     extrinsics: *const gedepth_core_extrinsics,
 ) -> i32 {
     // SAFETY: the crate's.
-    number((|| unsafe {
-        let extrinsics = read(extrinsics)?;
-        set_ground(camera, || {
+    number(unsafe {
+        set_ground(camera, extrinsics, |extrinsics| {
             let [r0, r1, r2, r3, r4, r5, r6, r7, r8] = extrinsics.r;
             let [x, y, z] = extrinsics.plane_up;
             let rows = [[r0, r1, r2], [r3, r4, r5], [r6, r7, r8]];
@@ -255,7 +261,7 @@ pub unsafe extern "C" fn gedepth_core_camera_set_extrinsics(
             let plane = GroundPlane::new(Direction::new(x, y, z)?, extrinsics.plane_offset)?;
             Ok(Ground::seen_by(&pose, &plane)?)
         })
-    })())
+    })
 }
 
 /// Sets the ground from how the camera is mounted. The lens must have been set.
@@ -265,9 +271,8 @@ pub unsafe extern "C" fn gedepth_core_camera_set_mounting(
     mounting: *const gedepth_core_mounting,
 ) -> i32 {
     // SAFETY: the crate's.
-    number((|| unsafe {
-        let mounting = read(mounting)?;
-        set_ground(camera, || {
+    number(unsafe {
+        set_ground(camera, mounting, |mounting| {
             if !mounting.yaw.is_finite() {
                 return Err(Error::AngleNotFinite(mounting.yaw).into());
             }
@@ -277,7 +282,7 @@ pub unsafe extern "C" fn gedepth_core_camera_set_mounting(
                 Angle::from_radians(mounting.roll),
             )?)
         })
-    })())
+    })
 }
 
 /// The ground as the camera sees it: the direction straight down (x, y, z in the camera's frame, unit length; may be

@@ -114,6 +114,14 @@ fn cameras_refuse_bad_pointers() {
                 GEDEPTH_CORE_NULL_POINTER,
             ),
             (
+                gedepth_core_camera_set_mounting(c, c.cast()),
+                GEDEPTH_CORE_OVERLAP,
+            ),
+            (
+                gedepth_core_camera_set_extrinsics(c, c.cast()),
+                GEDEPTH_CORE_OVERLAP,
+            ),
+            (
                 gedepth_core_camera_set_extrinsics(c, null()),
                 GEDEPTH_CORE_NULL_POINTER,
             ),

@@ -46,9 +46,14 @@ impl<'a> RowView<'a> {
             })?;
         let middle = (f64::from(size.width()) - 1.0) / 2.0;
         let [_, per_column, _] = coefficients.coefficients();
-        let relative_error = per_column.abs() * middle * tolerance.up_to;
-        let allowed = relative_error <= tolerance.relative_error;
-        // A NaN in the tolerance allows nothing.
+        // Without any roll there is none, however far.
+        let relative_error = if per_column == 0.0 {
+            0.0
+        } else {
+            per_column.abs() * middle * tolerance.up_to
+        };
+        // NaN, and distances behind the camera, allow nothing.
+        let allowed = (0.0..=tolerance.relative_error).contains(&relative_error);
         if !allowed {
             return Err(Error::RollTooLarge { relative_error });
         }

@@ -56,7 +56,12 @@ struct Ground {
 }
 
 #[derive(Deserialize)]
-#[serde(tag = "model", content = "coefficients", rename_all = "snake_case")]
+#[serde(
+    tag = "model",
+    content = "coefficients",
+    rename_all = "snake_case",
+    deny_unknown_fields
+)]
 enum Coefficients {
     PlumbBob([f64; 5]),
     RationalPolynomial([f64; 8]),

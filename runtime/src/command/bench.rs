@@ -52,7 +52,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if arguments.raw {
         for run in times {
             let [preprocess, network, fusion] = run.map(|time| time.as_secs_f64() * 1e6);
-            say!("{preprocess:.1} {network:.1} {fusion:.1}");
+            say!("{preprocess:.1} {network:.1} {fusion:.1}")?;
         }
         return Ok(());
     }
@@ -60,7 +60,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     say!(
         "network {width} x {height}; prepare {:.1} ms",
         milliseconds(opened.prepare)
-    );
+    )?;
     say!(
         "{:<10} {:>8} {:>8} {:>8} {:>10}",
         "ms",
@@ -68,19 +68,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         "median",
         "p99",
         "p99/median"
-    );
+    )?;
     for (stage, name) in ["preprocess", "network", "fusion"].into_iter().enumerate() {
-        print(name, times.iter().map(|run| run[stage]));
+        print(name, times.iter().map(|run| run[stage]))?;
     }
-    print("all", times.iter().map(|run| run.iter().sum()));
-    if arguments.profile {
-        print_layers(&opened.estimator.layer_times(), arguments.runs);
+    print("all", times.iter().map(|run| run.iter().sum()))?;
+    if arguments.profile && opened.estimator.layer_times().is_empty() {
+        say!("\ntract runs this network, not the engine: its layers have no times")?;
+    } else if arguments.profile {
+        print_layers(&opened.estimator.layer_times(), arguments.runs)?;
     }
     Ok(())
 }
 
 /// Mean times of the layers, what they do at least, and their throughput.
-fn print_layers(layers: &[LayerTime], runs: u32) {
+fn print_layers(layers: &[LayerTime], runs: u32) -> Result<(), Error> {
     say!(
         "\n{:>8} {:>7} {:>7} {:>7}  {:<34} {:>14}  output",
         "us",
@@ -89,7 +91,7 @@ fn print_layers(layers: &[LayerTime], runs: u32) {
         "GMAC/s",
         "operation",
         "shape"
-    );
+    )?;
     for layer in layers {
         let seconds = layer.time.as_secs_f64() / f64::from(runs);
         let multiply_adds = layer.multiply_adds as f64;
@@ -103,15 +105,16 @@ fn print_layers(layers: &[LayerTime], runs: u32) {
             layer.operation,
             format!("{channels}x{height}x{width}"),
             layer.output,
-        );
+        )?;
     }
+    Ok(())
 }
 
 fn milliseconds(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
 }
 
-fn print(name: &str, times: impl Iterator<Item = Duration>) {
+fn print(name: &str, times: impl Iterator<Item = Duration>) -> Result<(), Error> {
     let mut sorted: Vec<f64> = times.map(milliseconds).collect();
     sorted.sort_by(f64::total_cmp);
     let at = |part: f64| sorted[((sorted.len() - 1) as f64 * part).round() as usize];
@@ -120,5 +123,5 @@ fn print(name: &str, times: impl Iterator<Item = Duration>) {
         "{name:<10} {:>8.3} {median:>8.3} {p99:>8.3} {:>10.2}",
         at(0.0),
         p99 / median
-    );
+    )
 }

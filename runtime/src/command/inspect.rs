@@ -28,24 +28,24 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
             path: "standard output".into(),
             reason: e.to_string(),
         })?;
-        say!("{json}");
+        say!("{json}")?;
     } else {
-        print(&inspection, model.engine());
+        print(&inspection, model.engine())?;
     }
     Ok(())
 }
 
-fn print(inspection: &Inspection, engine: Engine) {
-    say!("{:<12}{}", "model", inspection.path.display());
+fn print(inspection: &Inspection, engine: Engine) -> Result<(), Error> {
+    say!("{:<12}{}", "model", inspection.path.display())?;
     for (entry, value) in &inspection.contract {
-        say!("{:<12}{entry} = {value}", "contract");
+        say!("{:<12}{entry} = {value}", "contract")?;
     }
     for (label, tensors) in [
         ("input", &inspection.inputs),
         ("output", &inspection.outputs),
     ] {
         for tensor in tensors {
-            say!("{label:<12}{} [{}]", tensor.name, tensor.shape.join(", "));
+            say!("{label:<12}{} [{}]", tensor.name, tensor.shape.join(", "))?;
         }
     }
     let weights = inspection.weights;
@@ -55,7 +55,7 @@ fn print(inspection: &Inspection, engine: Engine) {
         weights.numbers,
         weights.tensors,
         weights.bytes as f64 / 1e6
-    );
+    )?;
     let by = match &inspection.plan {
         PlanKind::Engine => "the engine alone".to_owned(),
         PlanKind::TractWithIslands => "tract, with islands that the engine runs".to_owned(),
@@ -66,9 +66,9 @@ fn print(inspection: &Inspection, engine: Engine) {
         _ => "tract alone".to_owned(),
     };
     let (width, height) = inspection.size;
-    say!("{:<12}by {by}, at {width}x{height}", "runs");
+    say!("{:<12}by {by}, at {width}x{height}", "runs")?;
     if let Engine::Quantized { kernel, threads } = engine {
-        say!("{:<12}{kernel:?}, {threads} threads", "engine");
+        say!("{:<12}{kernel:?}, {threads} threads", "engine")?;
     }
     let inside = |node: &&gedepth::InspectedNode| matches!(node.place, Place::Engine { .. });
     let count = inspection.nodes.iter().filter(inside).count();
@@ -76,8 +76,8 @@ fn print(inspection: &Inspection, engine: Engine) {
         "{:<12}{count} in the engine, {} in tract",
         "nodes",
         inspection.nodes.len() - count
-    );
-    say!("");
+    )?;
+    say!("")?;
     for node in &inspection.nodes {
         let place = match &node.place {
             Place::Engine {
@@ -89,6 +89,7 @@ fn print(inspection: &Inspection, engine: Engine) {
             Place::Tract { reason, .. } => format!("tract: {reason}"),
             _ => String::new(),
         };
-        say!("{:<18} {place:<50} {}", node.operator, node.output);
+        say!("{:<18} {place:<50} {}", node.operator, node.output)?;
     }
+    Ok(())
 }

@@ -2,6 +2,8 @@
 
 use std::io::{ErrorKind, Write, stdout};
 
+use gedepth::Error;
+
 /// Prints a line, as `println!`, but for readers who have seen enough (`gedepth inspect | head`): they are no error.
 macro_rules! say {
     ($($line:tt)*) => { $crate::command::say(format_args!($($line)*)) };
@@ -14,11 +16,13 @@ pub(crate) mod inspect;
 pub(crate) mod output;
 pub(crate) mod run;
 
-fn say(line: std::fmt::Arguments<'_>) {
-    if let Err(e) = writeln!(stdout(), "{line}")
-        && e.kind() != ErrorKind::BrokenPipe
-    {
-        eprintln!("gedepth: the standard output cannot be written: {e}");
+fn say(line: std::fmt::Arguments<'_>) -> Result<(), Error> {
+    match writeln!(stdout(), "{line}") {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Error::Write {
+            path: "standard output".into(),
+            reason: e.to_string(),
+        }),
+        _ => Ok(()),
     }
 }
 

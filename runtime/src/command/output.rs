@@ -6,17 +6,32 @@ use std::path::{Path, PathBuf};
 use gedepth::Error;
 use tempfile::NamedTempFile;
 
+fn failed(path: PathBuf) -> impl FnOnce(std::io::Error) -> Error {
+    move |e| Error::Write {
+        path,
+        reason: e.to_string(),
+    }
+}
+
+/// Removes a file of an earlier run, if there is one.
+pub(crate) fn remove(path: &Path) -> Result<(), Error> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(failed(path.to_owned())(e)),
+        _ => Ok(()),
+    }
+}
+
 /// Writes all files or none: each beside its place first, all renamed once all are complete. Folders are made if they are
 /// not there.
 pub(crate) fn write_together(files: &[(PathBuf, Vec<u8>)]) -> Result<(), Error> {
-    let failed = |path: PathBuf| {
-        move |e: std::io::Error| Error::Write {
-            path,
-            reason: e.to_string(),
-        }
-    };
     let mut complete = Vec::new();
     for (path, bytes) in files {
+        if path.is_dir() {
+            // Found out by renaming, others would be in their places.
+            return Err(failed(path.clone())(
+                std::io::ErrorKind::IsADirectory.into(),
+            ));
+        }
         let dir = path
             .parent()
             .filter(|dir| !dir.as_os_str().is_empty())

@@ -8,14 +8,18 @@ use gedepth::{Error, Estimate, Maps, OutputSize, Picture, StageTimes, render};
 use image::{DynamicImage, ImageFormat};
 
 use super::inputs::{Inputs, Opened};
-use super::output::write_together;
+use super::output::{remove, write_together};
+
+/// What a model without attention does not write.
+const ATTENTION: &str = "attention.png";
 
 /// Estimates the depth of one picture.
 ///
 /// Writes into DIR: depth.png (16 bits, metres x 256, 0 = none: KITTI's convention), depth_colours.png (with a scale
 /// bar), ground.png (depth of the ground as the network's mode sees it, in the same colours) and attention.png (white
-/// where the ground is trusted; not with a baseline model). All have the picture's size, or with a model that crops,
-/// the crop's. Nothing is written unless everything can be.
+/// where the ground is trusted; not with a baseline model, which removes an older one). depth.png and attention.png have
+/// the picture's size, or with a model that crops, the crop's; the scale bar makes the other two higher. Nothing is
+/// written unless everything can be.
 #[derive(Args)]
 #[command(after_help = super::super::EXIT_CODES)]
 pub(crate) struct Arguments {
@@ -43,18 +47,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     } = estimator.run(picture)?;
     let maps = estimator.maps()?;
     write_together(&rendered(maps, size.0, &arguments.out)?)?;
+    if maps.attention.is_none() {
+        remove(&arguments.out.join(ATTENTION))?;
+    }
 
     let contract = model.contract();
     let ((pw, ph), (nw, nh), (w, h)) = (picture.size(), placement.network, size);
     let (near, far) = range(maps.depth);
     let pixels = maps.depth.len() as f32;
     let ground = maps.ground.iter().filter(|&&z| z > 0.0).count() as f32;
-    say!("picture     {pw} x {ph}");
+    say!("picture     {pw} x {ph}")?;
     say!(
         "network     {nw} x {nh}, {}, {}",
         contract.mode,
         contract.network
-    );
+    )?;
     match placement.region == picture.size() {
         true => say!("depth       {w} x {h}, {near:.2} to {far:.2} m"),
         false => say!(
@@ -62,13 +69,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
             placement.left,
             placement.top
         ),
-    }
+    }?;
     say!(
         "ground      seen by {:.1} % of the pixels within {} m, from {:.2} m on",
         100.0 * ground / pixels,
         contract.depth_range.max(),
         range(maps.ground).0,
-    );
+    )?;
     let StageTimes {
         preprocess,
         network,
@@ -85,9 +92,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         ("network", network, ""),
         ("fusion", fusion, ""),
     ] {
-        say!("{stage:<10} {:>7.1} ms{note}", time.as_secs_f64() * 1e3);
+        say!("{stage:<10} {:>7.1} ms{note}", time.as_secs_f64() * 1e3)?;
     }
-    say!("written to  {}", arguments.out.display());
+    say!("written to  {}", arguments.out.display())?;
     Ok(())
 }
 
@@ -112,7 +119,7 @@ fn rendered(maps: Maps<'_>, width: u32, dir: &Path) -> Result<Vec<(PathBuf, Vec<
         ("ground.png", render::depth_colours(map(maps.ground)).into()),
     ];
     if let Some(attention) = maps.attention {
-        pictures.push(("attention.png", render::attention(map(attention)).into()));
+        pictures.push((ATTENTION, render::attention(map(attention)).into()));
     }
     pictures
         .into_iter()

@@ -165,6 +165,9 @@ pub(crate) struct Placed {
     pub(crate) output: [usize; 2],
 }
 
+/// Of a tensor. Far more than any network has, and its bytes with all borders are far from usize's end.
+const MOST_VALUES: usize = 1 << 31;
+
 /// How many rows and columns of padding.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Padding {
@@ -542,6 +545,14 @@ impl Layer {
         };
         if shape.contains(&0) {
             return Err(format!("an empty tensor {shape:?}"));
+        }
+        let values = shape
+            .iter()
+            .try_fold(1_usize, |all, side| all.checked_mul(*side));
+        if values.is_none_or(|values| values > MOST_VALUES) {
+            return Err(format!(
+                "a tensor {shape:?} is more than the engine has memory for"
+            ));
         }
         Ok(shape)
     }

@@ -188,6 +188,10 @@ impl Team {
             members: self.workers.len() + 1,
             barrier,
         };
+        // The workers are gone then, and this thread would do its own part alone.
+        if barrier.broken.load(SeqCst) {
+            return false;
+        }
         if self.workers.is_empty() {
             job(&member);
             return true;
@@ -298,6 +302,7 @@ mod tests {
                 while member.wait() {}
             });
             assert!(!whole);
+            assert!(!team.run(&|_| unreachable!("nobody is left for this")));
         }
     }
 }

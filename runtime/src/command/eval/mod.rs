@@ -159,9 +159,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(path) = &arguments.json {
         files.push((path.clone(), report.json().into_bytes()));
     }
+    // First what cannot fail: it took long.
+    let said = say!("{}", tables.trim_end());
     write_together(&files)?;
-    say!("{}", tables.trim_end());
-    Ok(())
+    said
 }
 
 fn score(

@@ -309,10 +309,7 @@ impl Dense {
     }
 
     fn check(&self, row: &Row<'_>) {
-        let last = row.runs.iter().max().map_or(0, |run| row.base + run)
-            + (row.pixels.max(1) - 1) * row.step
-            + self.run;
-        assert!(row.runs.len() == self.runs && last <= row.input.len());
+        assert!(row.runs.len() == self.runs && row.is_inside(self.run));
     }
 }
 
@@ -335,6 +332,27 @@ pub(crate) struct Row<'a> {
     pub(crate) step: usize,
     /// Output pixels.
     pub(crate) pixels: usize,
+}
+
+impl Row<'_> {
+    /// Whether all that is read of it, `run` bytes from each run on, is in the input.
+    fn is_inside(&self, run: usize) -> bool {
+        let farthest = self
+            .runs
+            .iter()
+            .max()
+            .map_or(Some(0), |run| self.base.checked_add(*run));
+        let last = self.pixels.saturating_sub(1).checked_mul(self.step);
+        let end = || farthest?.checked_add(last?)?.checked_add(run);
+        end().is_some_and(|end| end <= self.input.len())
+    }
+}
+
+/// Whether so many things of a size do. What would wrap does not.
+fn fits(things: usize, size: usize, length: usize) -> bool {
+    things
+        .checked_mul(size)
+        .is_some_and(|needed| needed <= length)
 }
 
 /// Weights of a depthwise convolution, with start and factor of each channel.
@@ -402,11 +420,8 @@ impl Depthwise {
     }
 
     fn check(&self, row: &Row<'_>, out: &[u8]) {
-        let last = row.runs.iter().max().map_or(0, |run| row.base + run)
-            + (row.pixels.max(1) - 1) * row.step
-            + self.pitch;
-        assert!(row.runs.len() == self.rows * self.columns && last <= row.input.len());
-        assert!(row.pixels * self.pitch <= out.len());
+        assert!(row.runs.len() == self.rows * self.columns && row.is_inside(self.pitch));
+        assert!(fits(row.pixels, self.pitch, out.len()));
     }
 }
 
@@ -485,14 +500,14 @@ impl Kernel {
         pitch: usize,
     ) {
         dense.check(row);
-        assert!(row.pixels * pitch <= out.len() && dense.lanes() <= pitch);
+        assert!(fits(row.pixels, pitch, out.len()) && dense.lanes() <= pitch);
         dispatch!(self, dense_bytes(dense, row, to, out, pitch));
     }
 
     /// A row of a dense convolution as f32, `[lanes][pixels]`; lanes without an output may stay as they are.
     pub(crate) fn dense_floats(self, dense: &Dense, row: &Row<'_>, out: &mut [f32]) {
         dense.check(row);
-        assert!(row.pixels * dense.lanes() <= out.len());
+        assert!(fits(row.pixels, dense.lanes(), out.len()));
         dispatch!(self, dense_floats(dense, row, out));
     }
 
@@ -517,8 +532,11 @@ impl Kernel {
     /// Puts the bytes of a row's channels where `part` says, through a table.
     pub(crate) fn place(self, table: &[u8; 256], part: Part, input: &[u8], out: &mut [u8]) {
         assert!(part.channels <= part.pitches[0] && part.first + part.channels <= part.pitches[1]);
-        assert!(part.pixels * part.pitches[0] == input.len());
-        assert!(part.pixels * part.pitches[1] == out.len());
+        let length = |pitch: usize| part.pixels.checked_mul(pitch);
+        assert!(
+            length(part.pitches[0]) == Some(input.len())
+                && length(part.pitches[1]) == Some(out.len())
+        );
         #[cfg(target_arch = "x86_64")]
         if self == Kernel::Avx512Vnni && std::arch::is_x86_feature_detected!("avx512vbmi") {
             // SAFETY: the processor has VBMI, and the other two as an engine with this kernel was built; checked above.
@@ -531,5 +549,33 @@ impl Kernel {
     pub(crate) fn quantize_four(self, planes: &[&[f32]], scale: f32, zero: u8, out: &mut [u8]) {
         assert!(planes.len() <= 4 && planes.iter().all(|plane| plane.len() * 4 == out.len()));
         dispatch!(self, quantize_four(planes, scale, zero, out));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What wraps must not pass for what fits: these checks are what the kernels' reads and writes rest on.
+    #[test]
+    fn lengths_that_wrap_do_not_fit() {
+        assert!(fits(4, 16, 64) && !fits(4, 16, 63));
+        assert!(!fits(1 << 60, 16, 64) && !fits(1 << 59, 64, usize::MAX));
+        let inside = |base, step, pixels, run| {
+            let input = &[0; 64];
+            let runs = &[0, 16];
+            Row {
+                input,
+                base,
+                runs,
+                step,
+                pixels,
+            }
+            .is_inside(run)
+        };
+        assert!(inside(0, 16, 3, 16) && inside(16, 16, 2, 16) && inside(0, 16, 0, 48));
+        assert!(!inside(0, 16, 4, 16) && !inside(1, 16, 3, 16) && !inside(0, 16, 3, 17));
+        assert!(!inside(usize::MAX, 16, 3, 16) && !inside(0, 1 << 60, 17, 16));
+        assert!(!inside(0, 16, usize::MAX, 16) && !inside(0, 16, 1, usize::MAX));
     }
 }

@@ -6,6 +6,9 @@ use super::Found;
 use super::graph::{Reader, attribute, input, integer, sizes, text};
 use crate::engine::layer::{Coordinates, Fill, Nearest, Pad, Padding, Resize, Target, Window};
 
+/// That a window reaches over, or that are added on one side.
+const MOST_PIXELS: usize = 16384;
+
 /// The window of a pool.
 pub(super) fn pool(node: &NodeProto) -> Found<Window> {
     if integer(node, "storage_order", 0) != 0 {
@@ -43,6 +46,19 @@ pub(super) fn window(node: &NodeProto, kernel: Option<[usize; 2]>) -> Found<Wind
     let numbers = [kernel, strides, dilations];
     if !numbers.iter().flatten().all(|n| (1..=1024).contains(n)) {
         return Err("its kernel, strides or dilations are not from 1 to 1024".into());
+    }
+    // Geometry is computed in bytes: with these, no number of it comes near usize's end.
+    let reaches = [0, 1].map(|axis| (kernel[axis] - 1) * dilations[axis] + 1);
+    let pads = match &padding {
+        Padding::Explicit(pads) => pads.as_slice(),
+        Padding::Same(_) => &[],
+    };
+    if reaches
+        .iter()
+        .chain(pads)
+        .any(|&pixels| pixels > MOST_PIXELS)
+    {
+        return Err(format!("it pads or reaches over more than {MOST_PIXELS} pixels").into());
     }
     Ok(Window {
         kernel,
@@ -83,8 +99,11 @@ impl Reader<'_> {
             Some("reflect") => Fill::Reflect,
             _ => return Err("its mode of padding is unknown".into()),
         };
-        if pads.iter().any(|pad| !(-16384..=16384).contains(pad)) {
-            return Err("it pads by more than 16384".into());
+        if pads
+            .iter()
+            .any(|pad| pad.unsigned_abs() > MOST_PIXELS as u64)
+        {
+            return Err(format!("it pads by more than {MOST_PIXELS}").into());
         }
         Ok(Pad {
             before: [top, left],
@@ -154,5 +173,42 @@ impl Reader<'_> {
             nearest,
             target,
         })
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use tract_onnx::pb::{AttributeProto, attribute_proto::AttributeType};
+
+    use super::*;
+
+    fn node(attributes: &[(&str, &[i64])]) -> NodeProto {
+        let attribute = |(name, ints): &(&str, &[i64])| AttributeProto {
+            name: (*name).to_owned(),
+            r#type: AttributeType::Ints.into(),
+            ints: ints.to_vec(),
+            ..AttributeProto::default()
+        };
+        NodeProto {
+            op_type: "Conv".to_owned(),
+            attribute: attributes.iter().map(attribute).collect(),
+            ..NodeProto::default()
+        }
+    }
+
+    /// Times a pixel's bytes, padding of 2^59 pixels is 0.
+    #[test]
+    fn windows_larger_than_any_picture_are_left_to_tract() {
+        let sane = node(&[("kernel_shape", &[3, 3]), ("pads", &[1, 1, 1, 16384])]);
+        assert!(window(&sane, None).is_ok());
+        for wrong in [
+            node(&[("kernel_shape", &[1, 1]), ("pads", &[0, 0, 0, 1 << 59])]),
+            node(&[("kernel_shape", &[3, 3]), ("pads", &[0, 16385, 0, 0])]),
+            node(&[("kernel_shape", &[1024, 1]), ("dilations", &[1024, 1])]),
+        ] {
+            let reason = window(&wrong, None).unwrap_err();
+            assert!(reason.to_string().contains("16384"));
+        }
     }
 }
