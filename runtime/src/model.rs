@@ -250,7 +250,14 @@ fn check_nodes(graph: &GraphProto) -> Result<(), String> {
                 node.op_type, node.name
             ));
         }
-        there.extend(node.output.iter().map(String::as_str));
+        for output in node.output.iter().filter(|name| !name.is_empty()) {
+            if !there.insert(output) {
+                return Err(format!(
+                    "its node {} `{}` makes `{output}`, which is there already",
+                    node.op_type, node.name
+                ));
+            }
+        }
         let windows = node
             .attribute
             .iter()
@@ -604,6 +611,13 @@ mod tests {
         ] {
             let refused = check_nodes(&graph(&wrong)).expect_err("not in order");
             assert!(refused.contains("nothing before it makes"), "{refused}");
+        }
+        for twice in ["x", "a"] {
+            let refused = check_nodes(&graph(&[node("x", "a"), node("a", twice)]));
+            assert!(
+                refused.is_err_and(|e| e.contains("there already")),
+                "{twice}"
+            );
         }
         for (pixels, taken) in [(16384, true), (-1, true), (16385, false), (i64::MIN, false)] {
             let mut padded = node("x", "a");

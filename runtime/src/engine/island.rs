@@ -349,18 +349,17 @@ fn dequantizers(graph: &GraphProto, name: &str) -> impl Iterator<Item = usize> {
 fn crossers(graph: &GraphProto, maker: &Recognized) -> (NodeProto, NodeProto) {
     let bytes = maker.layer.output.clone();
     let real = format!("{bytes} between islands");
-    let mut parameters = maker
-        .nodes
-        .last()
-        .map_or(Vec::new(), |&node| graph.node[node].input.clone());
-    let mut node = |op_type: &str, from: &str, to: &str| {
-        parameters[0] = from.to_owned();
-        NodeProto {
-            op_type: op_type.to_owned(),
-            input: parameters.clone(),
-            output: vec![to.to_owned()],
-            ..NodeProto::default()
-        }
+    let quantize = maker.nodes.last().map(|&node| &graph.node[node]);
+    let node = |op_type: &str, from: &str, to: &str| {
+        let mut node = quantize.cloned().unwrap_or_default();
+        node.name.clear();
+        node.op_type = op_type.to_owned();
+        node.input[0] = from.to_owned();
+        node.output = vec![to.to_owned()];
+        // Of bytes without a zero point it says the type. (DequantizeLinear takes it from there.)
+        node.attribute
+            .retain(|a| op_type == "QuantizeLinear" && a.name == "output_dtype");
+        node
     };
     (
         node("DequantizeLinear", &bytes, &real),

@@ -250,9 +250,17 @@ fn simplify(graph: &mut GraphProto) {
     graph.initializer.extend(constants);
 }
 
+/// The scale of a node that quantizes or dequantizes, where there is one for all channels.
+fn one_scale(reader: &Reader<'_>, node: &NodeProto) -> Option<f32> {
+    match reader.floats(input(node, 1)?)?[..] {
+        [scale] => Some(scale),
+        _ => None,
+    }
+}
+
 /// What a Clip of bytes means for the numbers that they stand for.
 fn real_bounds(reader: &Reader<'_>, clip: &NodeProto, quantize: &NodeProto) -> Option<[f32; 2]> {
-    let scale = *reader.floats(input(quantize, 1)?)?.first()?;
+    let scale = one_scale(reader, quantize)?;
     let zero = match input(quantize, 2) {
         Some(zero) => *reader.integers(zero)?.0.first()?,
         None => 0,
@@ -323,7 +331,9 @@ fn move_quantization(graph: &mut GraphProto) -> bool {
         let quantize = quantizers.first().filter(|first| {
             let same =
                 |r: &&NodeProto| r.op_type == "QuantizeLinear" && r.input[1..] == first.input[1..];
-            !stays(output)
+            // An axis is another one before the node and behind it.
+            one_scale(&reader, first).is_some()
+                && !stays(output)
                 && !clip.is_some_and(|clip| stays(&clip.output[0]))
                 && quantizers.iter().all(same)
         });
@@ -364,6 +374,7 @@ fn move_quantization(graph: &mut GraphProto) -> bool {
                 .iter()
                 .all(|name| dequantize(name).is_some_and(|d| d.input[1..] == first.input[1..]))
             && first.input.len() > 2
+            && one_scale(&reader, first).is_some()
         {
             let mut node = node.clone();
             let real = format!("{output} before");

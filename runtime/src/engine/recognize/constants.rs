@@ -177,6 +177,7 @@ impl Reader<'_> {
         };
         let source = input(node, 0).ok_or("its weights are missing")?;
         let shape_of = |name: &str| self.constant(name).map(|tensor| tensor.shape().to_vec());
+        let mut kind = zeros.as_ref().map(|(_, _, kind)| *kind);
         let (stored, floats, shape) = match self.integers(source) {
             Some((values, shape, _)) => (values, None, shape),
             None => {
@@ -196,6 +197,9 @@ impl Reader<'_> {
                     );
                 }
                 let shape = shape_of(name).unwrap_or_default();
+                if kind.is_none() {
+                    kind = Some(self.type_without_zero(quantize)?);
+                }
                 (Vec::new(), Some(floats), shape)
             }
         };
@@ -225,9 +229,9 @@ impl Reader<'_> {
                 .map(|(index, value)| value - zero(index))
                 .collect(),
             Some(floats) => {
-                let (low, high) = match &zeros {
-                    Some((_, _, DatumType::I8)) => (-128, 127),
-                    None | Some((_, _, DatumType::U8)) => (0, 255),
+                let (low, high) = match kind {
+                    Some(DatumType::I8) => (-128, 127),
+                    Some(DatumType::U8) => (0, 255),
                     _ => return Err("its weights are not bytes".into()),
                 };
                 let quantized = |(index, value): (usize, &f32)| {

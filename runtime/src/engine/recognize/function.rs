@@ -247,22 +247,28 @@ impl<'a> Reader<'a> {
 
     /// Whether an expression belongs with the engine: it reads what is made there.
     pub(super) fn belongs(&self, gathered: &Gathered) -> bool {
-        let inside = |input: &Operand| {
+        self.reaches_bytes(gathered, &mut HashSet::new())
+    }
+
+    /// Each tensor is asked once: there are graphs with more ways through than time.
+    fn reaches_bytes(&self, gathered: &Gathered, asked: &mut HashSet<String>) -> bool {
+        let mut inside = |input: &Operand| {
             input.quantization.is_some()
-                || self.maker(&input.name).is_some_and(|(_, node)| {
-                    let output = node.output.first();
-                    if convolution::has_weights(&node.op_type) {
-                        node.input
-                            .first()
-                            .is_some_and(|name| self.operand(name).is_some())
-                    } else {
-                        self.is_elementwise(&input.name)
-                            && output
-                                .and_then(|name| self.expression(name, true).ok())
-                                .is_some_and(|inner| self.belongs(&inner))
-                    }
-                })
+                || asked.insert(input.name.clone())
+                    && self.maker(&input.name).is_some_and(|(_, node)| {
+                        let output = node.output.first();
+                        if convolution::has_weights(&node.op_type) {
+                            node.input
+                                .first()
+                                .is_some_and(|name| self.operand(name).is_some())
+                        } else {
+                            self.is_elementwise(&input.name)
+                                && output
+                                    .and_then(|name| self.expression(name, true).ok())
+                                    .is_some_and(|inner| self.reaches_bytes(&inner, asked))
+                        }
+                    })
         };
-        self.takes_all || gathered.inputs.iter().any(inside)
+        self.takes_all || gathered.inputs.iter().any(&mut inside)
     }
 }

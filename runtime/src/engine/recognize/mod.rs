@@ -199,6 +199,8 @@ impl<'a> Reader<'a> {
             && let [operand] = &gathered.inputs[..]
             && let Some(from) = operand.quantization
             && gathered.expression.channels() == 1
+            // A constant may add dimensions.
+            && self.rank(&operand.name).is_none_or(|rank| Some(rank) == self.rank(float))
         {
             let table = gathered.expression.table(from, quantization);
             return Ok(recognized(
@@ -228,7 +230,8 @@ impl<'a> Reader<'a> {
                     if self.is_elementwise(float)
                         && (self.belongs(&gathered) || gathered.expression.is_clip()) =>
                 {
-                    match self.check_ranks(gathered.inputs.iter().map(|i| i.name.as_str())) {
+                    let inputs = gathered.inputs.iter().map(|i| i.name.as_str());
+                    match self.check_ranks(inputs.chain([float.as_str()])) {
                         Ok(()) => {
                             let operation = Operation::Elementwise(gathered.expression);
                             return Ok(recognized(
@@ -450,7 +453,8 @@ impl<'a> Reader<'a> {
                 .ok_or_else(|| "it has no output".into())
                 .and_then(|name| self.expression(name, true))
                 .and_then(|gathered| {
-                    self.check_ranks(gathered.inputs.iter().map(|i| i.name.as_str()))?;
+                    let inputs = gathered.inputs.iter().map(|i| i.name.as_str());
+                    self.check_ranks(inputs.chain([name.as_str()]))?;
                     if self.belongs(&gathered) {
                         Ok(gathered)
                     } else {

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
 
-use super::super::expression::{Binary, Expression};
+use super::super::expression::{Binary, Expression, Function};
 use super::super::kernels::{Addition, Kernel, ToBytes};
 use super::super::layer::{
     Convolution, Fill, Form, Layer, Operand, Operation, Padding, Quantization, Shape, Window,
@@ -168,9 +168,21 @@ impl Plan<'_> {
                 self.shapes[operand.name.as_str()],
             )),
         };
-        let (quantization, output) = match &layer.form {
-            Form::Bytes { quantization, .. } => (Some(*quantization), None),
-            Form::Floats => (None, Some(self.floats(&layer.output)?)),
+        let (expression, quantization, output) = match &layer.form {
+            Form::Bytes {
+                quantization,
+                range,
+            } => {
+                let [least, most] = [range.start(), range.end()].map(|end| quantization.real(*end));
+                let expression = match *range == (0..=255) {
+                    true => expression,
+                    false => {
+                        Expression::Function(Function::Clip(least, most), Box::new(expression))
+                    }
+                };
+                (expression, Some(*quantization), None)
+            }
+            Form::Floats => (expression, None, Some(self.floats(&layer.output)?)),
         };
         let sources = layer.inputs.iter().map(source);
         Ok(Work::Elementwise {
@@ -245,9 +257,10 @@ impl Plan<'_> {
         let operation = &layer.operation;
         let to = bytes.to();
         // Infinity times 0 is no number, which kernels round as they like.
+        let too_far = || format!("`{}` has scales too far apart", layer.output);
         let finite = |factor: f32| match factor.is_finite() {
             true => Ok(factor),
-            false => Err(format!("`{}` has scales too far apart", layer.output)),
+            false => Err(too_far()),
         };
         let factor = finite(from[0].scale / quantization.scale)?;
         let zero = from[0].zero;
@@ -264,11 +277,18 @@ impl Plan<'_> {
         let table = || Box::new(rescale(from[0], quantization, range));
         let size = [reads[0].height, reads[0].width];
         Ok(match operation {
-            Operation::Add => Work::Add(Addition {
-                zeros: [from[0].zero, from[1].zero],
-                factors: [factor, finite(from[1].scale / quantization.scale)?],
-                to,
-            }),
+            Operation::Add => {
+                let factors = [factor, finite(from[1].scale / quantization.scale)?];
+                // Of more steps than an i32 holds, x86's conversion makes the least number.
+                if 255.0 * (factors[0] + factors[1]) >= (1 << 30) as f32 {
+                    return Err(too_far());
+                }
+                Work::Add(Addition {
+                    zeros: [from[0].zero, from[1].zero],
+                    factors,
+                    to,
+                })
+            }
             Operation::Multiply => Work::Multiply {
                 zeros: [from[0].zero, from[1].zero],
                 factor: finite(from[0].scale * from[1].scale / quantization.scale)?,

@@ -1,6 +1,7 @@
 //! Rarer layers on random shapes, against their definition in real numbers.
 
 use super::*;
+use crate::engine::tidy::tidy;
 
 /// Weights of bytes of any type and zero point: values in steps, and the name of what dequantizes them along `axis`.
 fn weights(
@@ -354,15 +355,22 @@ fn extreme_bytes_and_weights_are_the_nearest_step() {
 #[test]
 fn scales_whose_ratio_is_infinite_are_refused() {
     let shape = [16, 1, 2];
-    let [from, out] = [1e38, 1e-30].map(|scale| Steps {
-        signed: false,
-        zero: 0,
-        scale,
-    });
-    for operator in ["Add", "Mul"] {
+    // A sum of 5e9 steps is no i32.
+    for (operator, from, out) in [
+        ("Add", 1e38, 1e-30),
+        ("Mul", 1e38, 1e-30),
+        ("Add", 1.0, 1e-7),
+    ] {
+        let [from, out] = [from, out].map(|scale| Steps {
+            signed: false,
+            zero: 0,
+            scale,
+        });
         let mut b = Builder::new(shape);
         let x = b.quantized("x", from);
-        let y = b.node(operator, &[&x, &x], vec![]);
+        // Not x alone: a function of one byte is a table.
+        let other = b.quantized("x", Steps { zero: 1, ..from });
+        let y = b.node(operator, &[&x, &other], vec![]);
         let y = b.quantized(&y, out);
         let model = fastest().split(&b.finish(&[&y])).unwrap();
         let mut onnx = tract_onnx::onnx();
@@ -447,5 +455,122 @@ fn broadcasts_are_the_nearest_step() {
             &real,
             &format!("case {case}: {operator} {shape:?}"),
         );
+    }
+}
+
+/// The limits of a ReLU or Clip hold behind sums and products of which one side repeats along rows or columns, too.
+#[test]
+fn activations_behind_broadcasts_hold() {
+    let mut numbers = Numbers(26);
+    for case in 0..12 {
+        let shape @ [channels, height, width] = [numbers.from(2..=20), 3, numbers.from(2..=9)];
+        let (from, map) = (
+            Steps::random(&mut numbers, 0.02),
+            Steps::random(&mut numbers, 0.02),
+        );
+        let out = Steps::random(&mut numbers, 0.03);
+        let mut b = Builder::new(shape);
+        let x = b.quantized("x", from);
+        // The first channel alone, for all of them.
+        let mut weights = vec![0; channels];
+        weights[0] = 1;
+        let raw = b.constant(DataType::Int8, &[1, channels, 1, 1], weights);
+        let (one, zero) = (
+            b.floats(&[], &[1.0]),
+            b.constant(DataType::Int8, &[], vec![0]),
+        );
+        let w = b.node("DequantizeLinear", &[&raw, &one, &zero], vec![]);
+        let first = b.node("Conv", &[&x, &w], vec![ints("kernel_shape", &[1, 1])]);
+        let first = b.quantized(&first, map);
+        let operator = ["Add", "Mul"][case % 2];
+        let inputs = if case % 4 < 2 {
+            [&first, &x]
+        } else {
+            [&x, &first]
+        };
+        let y = b.node(operator, &inputs.map(String::as_str), vec![]);
+        let clips = case % 3 > 0;
+        let y = match clips {
+            true => {
+                let (least, most) = (b.floats(&[], &[-0.1]), b.floats(&[], &[0.2]));
+                b.node("Clip", &[&y, &least, &most], vec![])
+            }
+            false => b.node("Relu", &[&y], vec![]),
+        };
+        let y = b.quantized(&y, out);
+        let input = on_grid(&mut numbers, from, shape.iter().product());
+        let area = height * width;
+        let real: Vec<f64> = (0..channels * area)
+            .map(|index| {
+                let steps =
+                    (f64::from(input[index % area]) / f64::from(map.scale)).round_ties_even();
+                let least = f64::from(map.least() - map.zero);
+                let repeated = steps.clamp(least, least + 255.0) * f64::from(map.scale);
+                let own = f64::from(input[index]);
+                let value = if operator == "Add" {
+                    own + repeated
+                } else {
+                    own * repeated
+                };
+                match clips {
+                    true => value.clamp(f64::from(-0.1_f32), f64::from(0.2_f32)),
+                    false => value.max(0.0),
+                }
+            })
+            .collect();
+        let case = format!("case {case}: {operator} {shape:?}");
+        check(&b.finish(&[&y]), shape, &input, out, &real, &case);
+    }
+}
+
+/// Moving quantization past a node that changes the axes, or putting one bound for all channels, would change weights that are
+/// quantized by channel.
+#[test]
+fn quantization_by_channel_stays_where_it_is() {
+    let mut b = Builder::new([2, 1, 1]);
+    let weights = b.constant(DataType::Int8, &[2, 2, 1, 1], vec![10, 100, 10, 100]);
+    let scale = b.floats(&[2], &[0.001, 0.01]);
+    let zero = b.constant(DataType::Int8, &[2], vec![0; 2]);
+    let real = b.node(
+        "DequantizeLinear",
+        &[&weights, &scale, &zero],
+        vec![int("axis", 0)],
+    );
+    let real = b.node("Flatten", &[&real], vec![]);
+    let steps = Steps {
+        signed: false,
+        zero: 0,
+        scale: 0.01,
+    };
+    let x = b.quantized("x", steps);
+    let x = b.node("Flatten", &[&x], vec![]);
+    let y = b.node("Gemm", &[&x, &real], vec![int("transB", 1)]);
+    let bounded = b.floats(&[2, 2, 1, 1], &[0.05, -0.05, 1.0, -1.0]);
+    let bytes = b.node(
+        "QuantizeLinear",
+        &[&bounded, &scale, &zero],
+        vec![int("axis", 0)],
+    );
+    let [least, most] = [-127_i8, 127].map(|end| b.constant(DataType::Int8, &[], vec![end as u8]));
+    let bytes = b.node("Clip", &[&bytes, &least, &most], vec![]);
+    let back = b.node(
+        "DequantizeLinear",
+        &[&bytes, &scale, &zero],
+        vec![int("axis", 0)],
+    );
+    let z = b.node("Conv", &[&x, &back], vec![]);
+    let model = b.finish(&[&y, &z]);
+    let graph = model.graph.as_ref().unwrap();
+    let tidied = tidy(&model, graph);
+    for name in [&real, &bytes, &back] {
+        let made = |graph: &GraphProto| {
+            graph
+                .node
+                .iter()
+                .find(|node| &node.output[0] == name)
+                .unwrap()
+                .clone()
+        };
+        assert_eq!(made(&tidied), made(graph), "{name}");
     }
 }
