@@ -327,7 +327,7 @@ def main():
     def files_of(name):
         return {form: report.ROOT / f"fixtures/models/{name}-{form}.onnx" for form in ["int8", "f32"]}
 
-    shipped, large = files_of("adaptive"), files_of("large-adaptive")
+    tiny, shipped, large = (files_of(name) for name in ["tiny-adaptive", "adaptive", "large-adaptive"])
     results = []
     with tempfile.TemporaryDirectory() as folder:
         folder = pathlib.Path(folder)
@@ -335,6 +335,8 @@ def main():
         metadata["gedepth.nominal_size"] = "1216x352"
         multiply_adds = unet.write(folder, (1216, 352), metadata)
         for network, files, size in [
+            ("tiny adaptive, 640x192", tiny, (640, 192)),
+            ("tiny adaptive, 1216x352", tiny, (1216, 352)),
             ("shipped adaptive, 640x192", shipped, (640, 192)),
             ("shipped adaptive, 1216x352", shipped, (1216, 352)),
             ("large adaptive, 1216x352", large, (1216, 352)),

@@ -583,7 +583,13 @@ mod tests {
 
     use super::*;
 
-    const NETWORKS: [&str; 4] = ["baseline", "vanilla", "adaptive", "large-adaptive"];
+    const NETWORKS: [&str; 5] = [
+        "baseline",
+        "vanilla",
+        "adaptive",
+        "tiny-adaptive",
+        "large-adaptive",
+    ];
 
     /// Whoever follows a tensor back to its makers would go round and round; and memory ends.
     #[test]

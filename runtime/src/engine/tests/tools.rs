@@ -477,7 +477,7 @@ fn files_of_other_tools_give_what_onnx_runtime_gives() {
 /// Each layer of the shipped networks, given what the engine made of the layers before it.
 #[test]
 fn every_layer_of_the_networks_is_the_nearest_step() {
-    for name in ["adaptive-int8", "large-adaptive-int8"] {
+    for name in ["tiny-adaptive-int8", "adaptive-int8", "large-adaptive-int8"] {
         every_layer_is_the_nearest_step(name);
     }
 }
