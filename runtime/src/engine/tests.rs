@@ -930,6 +930,53 @@ fn an_unknown_operator_parts_two_islands() {
     assert_eq!(same, ours[0].len());
 }
 
+/// Bytes without a zero point are what `output_dtype` says (opset 21), on either side of what the engine does not know, and in weights that
+/// the graph quantizes. (tract takes them for u8, so it is no reference.)
+#[test]
+fn signed_bytes_without_a_zero_point_stay_signed() {
+    let shape @ [channels, height, width] = [2, 3, 7];
+    let signed = || vec![int("output_dtype", DataType::Int8 as usize)];
+    let quantized = |b: &mut Builder, name: &str, scale: f32| {
+        let scale = b.floats(&[], &[scale]);
+        let bytes = b.node("QuantizeLinear", &[name, &scale], signed());
+        b.node("DequantizeLinear", &[&bytes, &scale], vec![])
+    };
+    let mut numbers = Numbers(5);
+    let steps = Steps {
+        scale: 0.02,
+        zero: 0,
+        signed: true,
+    };
+    let input = on_grid(&mut numbers, steps, shape.iter().product());
+
+    let mut b = Builder::new(shape);
+    let x = quantized(&mut b, "x", 0.02);
+    let x = b.node("Neg", &[&x], vec![]);
+    let x = quantized(&mut b, &x, 0.02);
+    let outside = b.node("Floor", &[&x], vec![]);
+    let outside = b.quantized(&outside, steps);
+    let sum = b.node("Add", &[&x, &outside], vec![]);
+    let sum = b.quantized(&sum, steps);
+    let (made, _) = run(&b.finish(&[&sum]), fastest(), shape, &input);
+    for (x, made) in input.iter().zip(&made[0]) {
+        let real = (-x).clamp(-2.56, 2.54);
+        let real = (real + real.floor().clamp(-2.56, 2.54)).clamp(-2.56, 2.54);
+        assert!((real - made).abs() < 0.011, "{x}: {made} instead of {real}");
+    }
+
+    let mut b = Builder::new(shape);
+    let x = b.quantized("x", steps);
+    let weights = b.floats(&[1, channels, 1, 1], &[-0.5, 0.25]);
+    let weights = quantized(&mut b, &weights, 0.01);
+    let y = b.node("Conv", &[&x, &weights], vec![ints("kernel_shape", &[1, 1])]);
+    let y = b.quantized(&y, steps);
+    let area = height * width;
+    let real: Vec<f64> = (0..area)
+        .map(|i| -0.5 * f64::from(input[i]) + 0.25 * f64::from(input[i + area]))
+        .collect();
+    check_engine(&b.finish(&[&y]), shape, &input, steps, &real, "weights");
+}
+
 /// The embedded model's heads for a smooth input.
 fn heads(engine: Engine, size: (u32, u32)) -> Vec<Vec<f32>> {
     let model = Model::embedded().unwrap().with_engine(engine);
