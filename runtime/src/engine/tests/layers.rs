@@ -559,10 +559,20 @@ fn quantization_by_channel_stays_where_it_is() {
         vec![int("axis", 0)],
     );
     let z = b.node("Conv", &[&x, &back], vec![]);
-    let model = b.finish(&[&y, &z]);
+    let joined = b.node("Concat", &["x", "x"], vec![int("axis", 1)]);
+    let scale = b.floats(&[4], &[0.1, 0.2, 0.3, 0.4]);
+    let zero = b.constant(DataType::Int8, &[4], vec![0; 4]);
+    let parameters = [joined.as_str(), &scale, &zero];
+    let four = b.node("QuantizeLinear", &parameters, vec![int("axis", 1)]);
+    let four = b.node(
+        "DequantizeLinear",
+        &[&four, &scale, &zero],
+        vec![int("axis", 1)],
+    );
+    let model = b.finish(&[&y, &z, &four]);
     let graph = model.graph.as_ref().unwrap();
     let tidied = tidy(&model, graph);
-    for name in [&real, &bytes, &back] {
+    for name in [&real, &bytes, &back, &joined, &four] {
         let made = |graph: &GraphProto| {
             graph
                 .node
