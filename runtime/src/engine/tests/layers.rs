@@ -584,3 +584,35 @@ fn quantization_by_channel_stays_where_it_is() {
         assert_eq!(made(&tidied), made(graph), "{name}");
     }
 }
+
+/// Forty sums and differences, of each other: 2^40 ways through, and planning ends.
+#[test]
+fn graphs_with_many_ways_through_are_planned() {
+    let shape = [4, 2, 3];
+    let steps = Steps {
+        signed: false,
+        zero: 128,
+        scale: 0.02,
+    };
+    let mut b = Builder::new(shape);
+    let (mut x, mut y) = (
+        b.node("Floor", &["x"], vec![]),
+        b.node("Ceil", &["x"], vec![]),
+    );
+    let mut all = Vec::new();
+    for _ in 0..40 {
+        (x, y) = (
+            b.node("Add", &[&x, &y], vec![]),
+            b.node("Sub", &[&x, &y], vec![]),
+        );
+        all.extend([x.clone(), y.clone()]);
+    }
+    // Read by another, too, so that each is a tensor of its own.
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    let joined = b.node("Concat", &all, vec![int("axis", 1)]);
+    let product = b.node("Mul", &[&x, &y], vec![]);
+    let product = b.quantized(&product, steps);
+    let pooled = b.node("MaxPool", &[&product], vec![ints("kernel_shape", &[1, 1])]);
+    let pooled = b.quantized(&pooled, steps);
+    drop(fastest().split(&b.finish(&[&joined, &pooled])));
+}
