@@ -337,8 +337,8 @@ def main():
         for network, files, size in [
             ("tiny adaptive, 640x192", tiny, (640, 192)),
             ("tiny adaptive, 1216x352", tiny, (1216, 352)),
-            ("shipped adaptive, 640x192", shipped, (640, 192)),
-            ("shipped adaptive, 1216x352", shipped, (1216, 352)),
+            ("small adaptive, 640x192", shipped, (640, 192)),
+            ("small adaptive, 1216x352", shipped, (1216, 352)),
             ("large adaptive, 1216x352", large, (1216, 352)),
             (f"U-Net of {multiply_adds / 1e9:.1f} GMAC, 1216x352",
              {form: folder / f"unet-{form}.onnx" for form in ["int8", "f32"]}, (1216, 352)),
