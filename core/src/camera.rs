@@ -44,7 +44,7 @@ pub trait CameraModel {
     fn unproject(&self, pixel: Pixel) -> Option<Direction<CameraFrame>>;
 
     /// The point (x, y) at z = 1 on the ray that `pixel` sees; `None` where there is no ray, or none that points forward
-    /// (|x| and |y| at most 1e6).
+    /// (less than about 1e-6 short of 90 degrees, a distorted lens' do not).
     fn forward_ray(&self, pixel: Pixel) -> Option<DVec2> {
         forward(self.unproject(pixel)?.vector())
     }

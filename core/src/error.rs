@@ -146,7 +146,7 @@ pub enum Error {
         /// Channels given.
         given: usize,
     },
-    /// A head holds a NaN or an infinite value.
+    /// A head holds a NaN or a value beyond +-1e37: differences of those would not be finite, and upsampling takes them.
     HeadNotFinite(
         /// Which head.
         Head,
@@ -342,7 +342,7 @@ impl fmt::Display for Error {
             }
             Self::HeadNotFinite(head) => write!(
                 f,
-                "the {} head holds a NaN or an infinite value",
+                "the {} head holds a NaN or a value beyond +-1e37",
                 match head {
                     Head::Residual => "residual",
                     Head::Attention => "attention",

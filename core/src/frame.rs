@@ -67,8 +67,8 @@ impl<F: Frame> Direction<F> {
     /// The direction of the vector `(x, y, z)`, of any length.
     ///
     /// # Errors
-    /// [`Error::DirectionWithoutLength`] if the vector is zero, not finite, or so long or short that its length is
-    /// not.
+    /// [`Error::DirectionWithoutLength`] if the vector is zero, not finite, or so long or short that the square of
+    /// its length is (beyond 1e154 or below 1.5e-154).
     pub fn new(x: f64, y: f64, z: f64) -> Result<Self, Error> {
         Self::from_vector(DVec3::new(x, y, z))
     }
@@ -78,7 +78,9 @@ impl<F: Frame> Direction<F> {
     /// # Errors
     /// See [`Self::new`].
     pub fn from_vector(vector: DVec3) -> Result<Self, Error> {
-        match vector.try_normalize() {
+        // Below, the squared length has few bits left.
+        let long_enough = vector.length_squared() >= f64::MIN_POSITIVE;
+        match vector.try_normalize().filter(|_| long_enough) {
             Some(unit) => Ok(Self::from_unit(unit)),
             None => Err(Error::DirectionWithoutLength {
                 x: vector.x,

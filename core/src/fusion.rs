@@ -369,7 +369,7 @@ impl Fusion {
     /// `M z_ground + (1 - M) z_residual`, in range.
     #[inline(always)]
     fn blend(&self, residual: f32, m: f32, ground: f32) -> f32 {
-        let fused = residual + m * (ground - residual);
+        let fused = m * ground + (residual - m * residual);
         clamp(fused, self.depth.min, self.depth.max)
     }
 }

@@ -47,6 +47,11 @@ impl GroundPlane {
         Self::new(Direction::from_unit(DVec3::Z), height)
     }
 
+    /// R^-T n.
+    fn up_seen_by(&self, extrinsics: &Extrinsics) -> DVec3 {
+        extrinsics.inverse_rotation().transpose() * self.up.vector()
+    }
+
     /// The height of `point` over the plane, metres; negative below it.
     pub fn height_of(&self, point: Point<WorldFrame>) -> f64 {
         self.up.vector().dot(point.vector()) - self.offset
@@ -84,7 +89,7 @@ impl Ground {
     pub fn seen_by(extrinsics: &Extrinsics, plane: &GroundPlane) -> Result<Self, Error> {
         // n . (R^-1 r) = (R^-T n) . r, with the file's R as it is; its length, 1 but for printing errors, cancels
         // between numerator and denominator of Eq. 5.
-        let up = extrinsics.inverse_rotation().transpose() * plane.up.vector();
+        let up = plane.up_seen_by(extrinsics);
         let height = plane.height_of(extrinsics.camera_position()) / up.length();
         Self::new(Direction::from_vector(-up)?, height)
     }
@@ -104,7 +109,9 @@ impl Ground {
             roll,
             yaw: Angle::ZERO,
         })?;
-        Self::seen_by(&extrinsics, &GroundPlane::z_up(0.0)?)
+        // The height as given: rounded on its way through T it may be beyond its bounds.
+        let up = GroundPlane::z_up(0.0)?.up_seen_by(&extrinsics);
+        Self::new(Direction::from_vector(-up)?, height)
     }
 
     /// The direction straight down to the ground.

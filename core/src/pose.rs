@@ -55,7 +55,10 @@ impl Extrinsics {
             deviation = deviation.max(entry.abs());
         }
         // `max` loses a NaN.
-        if difference.is_nan() || deviation > Self::ORTHONORMAL_TOLERANCE {
+        if difference.is_nan() {
+            deviation = f64::NAN;
+        }
+        if deviation.is_nan() || deviation > Self::ORTHONORMAL_TOLERANCE {
             return Err(Error::NotARotation { deviation });
         }
         let determinant = rotation.determinant();

@@ -138,6 +138,8 @@ impl<const N: usize> SlopeClasses<N> {
         if slope.is_nan() {
             return None;
         }
+        // Beyond all classes, and still so that distances to them differ.
+        let slope = slope.clamp(-2.0, 2.0);
         let distance = |class: &usize| {
             self.angles
                 .get(*class)

@@ -314,6 +314,44 @@ fn a_tangential_lens_folds_on_one_side() {
     }
 }
 
+/// Coefficients so large that all of the field of view is a fraction of a degree.
+#[test]
+fn strong_lenses_round_trip() {
+    for (k1, focal) in [(1e4, 4000.0), (-1e4, 1e5), (1e6, 4e4), (1e3, 1000.0)] {
+        let k = Intrinsics::centred(size(), focal).unwrap();
+        let camera = KannalaBrandt::new(k, [k1, 0.0, 0.0, 0.0]).unwrap();
+        for u in 0..size().width() {
+            let pixel = Pixel::new(f64::from(u), 100.0);
+            if let Some(ray) = camera.unproject(pixel) {
+                let back = camera.project(Point::from_vector(ray.vector())).unwrap();
+                let off = (back.u - pixel.u).abs().max((back.v - pixel.v).abs());
+                assert!(off < 1e-4, "k1 = {k1}: off by {off} pixels in column {u}");
+            }
+        }
+    }
+}
+
+/// A pinhole has a ray for every pixel, also where its centre is far outside of the picture; a lens' rays at
+/// 90 degrees, for all that can be told, do not point forward.
+#[test]
+fn rays_far_from_the_axis() {
+    let k = Intrinsics::new(size(), 0.5, 0.5, -1e6, 0.0).unwrap();
+    let ray = Pinhole::new(k).forward_ray(Pixel::new(0.0, 0.0));
+    assert_eq!(ray.map(|ray| (ray.x, ray.y)), Some((2e6, 0.0)));
+    let k = Intrinsics::centred(size(), 100.0).unwrap();
+    for k1 in [0.0, 12.0] {
+        let camera = KannalaBrandt::new(k, [k1, 0.0, 0.0, 0.0]).unwrap();
+        let centre = camera.project(Point::new(0.0, 0.0, 1.0)).unwrap();
+        let at = |x: f64| camera.project(Point::new(x, 0.0, 1.0)).unwrap().u - centre.u;
+        for x in [1e9, 1e12] {
+            let pixel = Pixel::new(centre.u + at(x), centre.v);
+            assert_eq!(camera.forward_ray(pixel), None, "k1 = {k1}, x = {x}");
+        }
+        let ray = camera.forward_ray(Pixel::new(centre.u + at(1e4), centre.v));
+        assert!((ray.unwrap().x - 1e4).abs() < 1.0);
+    }
+}
+
 /// What is behind, beside or nowhere falls on no pixel.
 #[test]
 fn outside_the_field_of_view() {

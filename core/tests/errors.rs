@@ -122,6 +122,8 @@ fn every_code_is_reached_and_says_what_was_wrong() {
         [f64::NAN, 0.0, 0.0],
         [f64::INFINITY, 0.0, 0.0],
         [1e-320, 0.0, 0.0],
+        [0.0, 0.0, 2e-162],
+        [0.0, 1e160, 0.0],
     ] {
         let [x, y, z] = vector;
         expect(
@@ -131,6 +133,14 @@ fn every_code_is_reached_and_says_what_was_wrong() {
             seen,
         );
     }
+    let mut unknown = IDENTITY;
+    unknown[0][1] = f64::NAN;
+    expect(
+        Extrinsics::world_to_camera(unknown, [0.0; 3]),
+        202,
+        "NaN",
+        seen,
+    );
     let mut bent = IDENTITY;
     bent[0][1] = 0.002;
     expect(

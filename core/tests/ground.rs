@@ -296,6 +296,66 @@ fn coverage_and_vanishing_line() -> Result<(), Error> {
     Ok(())
 }
 
+/// A line along the picture's border goes from corner to corner, however rounding has it.
+#[test]
+fn vanishing_line_along_the_border() {
+    let size = ImageSize::new(1216, 352).unwrap();
+    let (tilt, focal) = (0.1_f64, 720.0);
+    let upright = |cy: f64, tilt: f64, roll: f64| {
+        let camera = Pinhole::new(Intrinsics::new(size, focal, focal, 607.5, cy).unwrap());
+        let (pitch, roll) = (Angle::from_radians(tilt.atan()), Angle::from_degrees(roll));
+        let ground = Ground::from_mounting(1.65, pitch, roll).unwrap();
+        ground
+            .vanishing_line(&camera)
+            .map(|[a, b]| [[a.u, a.v], [b.u, b.v]])
+    };
+    let near = |line: Option<[[f64; 2]; 2]>, truth: [[f64; 2]; 2]| {
+        let line = line.unwrap();
+        for (end, truth) in line.as_flattened().iter().zip(truth.as_flattened()) {
+            assert!((end - truth).abs() < 1e-6, "{line:?}");
+        }
+    };
+    near(upright(72.0, tilt, 0.0), [[0.0, 0.0], [1215.0, 0.0]]);
+    near(
+        upright(351.0 - 72.0, -tilt, 0.0),
+        [[0.0, 351.0], [1215.0, 351.0]],
+    );
+    near(upright(72.0, -tilt, 180.0), [[0.0, 0.0], [1215.0, 0.0]]);
+    // On its side: columns.
+    let size = ImageSize::new(401, 301).unwrap();
+    for (roll, cx, left) in [(90.0, 72.0, 0.0), (-90.0, 400.0 - 72.0, 400.0)] {
+        let camera = Pinhole::new(Intrinsics::new(size, focal, focal, cx, 150.0).unwrap());
+        let pitch = Angle::from_radians(tilt.atan());
+        let ground = Ground::from_mounting(1.65, pitch, Angle::from_degrees(roll)).unwrap();
+        let [a, b] = ground.vanishing_line(&camera).unwrap();
+        assert!(
+            (a.u - left).abs() < 1e-6 && (b.u - left).abs() < 1e-6,
+            "{a:?}, {b:?}"
+        );
+        assert!(((a.v - b.v).abs() - 300.0).abs() < 1e-6, "{a:?}, {b:?}");
+    }
+}
+
+/// The least and the greatest height are heights in every pose.
+#[test]
+fn heights_at_their_bounds() {
+    for height in [1e-3, 1e5] {
+        for degrees in -89..=89 {
+            let (pitch, roll) = (f64::from(degrees), f64::from(degrees) * 1.7);
+            let ground = Ground::from_mounting(
+                height,
+                Angle::from_degrees(pitch),
+                Angle::from_degrees(roll),
+            );
+            assert_eq!(
+                ground.map(|ground| ground.height()),
+                Ok(height),
+                "{degrees} degrees"
+            );
+        }
+    }
+}
+
 /// A fisheye whose image circle lies inside the picture: the line ends on the circle.
 #[test]
 fn vanishing_line_inside_an_image_circle() -> Result<(), Error> {

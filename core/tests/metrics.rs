@@ -181,6 +181,19 @@ fn clouds_that_are_refused_and_odd_points() {
     matches.add(&cloud, &odd, 0.1, &mut [0; 9]).unwrap();
     let m = matches.metrics().unwrap();
     assert_eq!((m.precision, m.recall), (1.0, 0.25));
+    // Clouds of depth maps with many pixels that are none; were each compared with each, this would not end.
+    let mut many = vec![Point::<CameraFrame>::new(f64::NAN, f64::NAN, f64::NAN); 1_000_000];
+    many.push(Point::new(0.0, 0.0, 0.01));
+    let endless = Point::new(f64::INFINITY, f64::INFINITY, f64::INFINITY);
+    many.resize(many.len() + 1_000_000, endless);
+    let mut matches = CloudMatches::new();
+    let mut scratch = vec![0; cloud_scratch_len(many.len(), many.len())];
+    matches.add(&many, &many, 0.1, &mut scratch).unwrap();
+    let m = matches.metrics().unwrap();
+    assert_eq!(
+        (m.precision, m.recall),
+        (1.0 / 2_000_001.0, 1.0 / 2_000_001.0)
+    );
 }
 
 #[test]

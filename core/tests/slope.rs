@@ -209,8 +209,10 @@ fn logits_that_are_refused_and_ties() {
         assert!(classes.expected_angle(&[level; 11]).unwrap().abs() < 1e-8);
     }
     // Beyond the last class it is the last; NaN is none.
-    assert_eq!(classes.nearest_class(1.0), Some(10));
-    assert_eq!(classes.nearest_class(-1.0), Some(0));
+    for far in [1.0, 1e6, 1e7, f32::MAX, f32::INFINITY] {
+        assert_eq!(classes.nearest_class(far), Some(10));
+        assert_eq!(classes.nearest_class(-far), Some(0));
+    }
     assert_eq!(classes.nearest_class(f32::NAN), None);
 }
 

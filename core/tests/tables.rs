@@ -135,7 +135,7 @@ proptest! {
             let (u, v) = (index % 64, index / 64);
             let p = camera.forward_ray(Pixel::new(u as f64, v as f64)).unwrap();
             let size = (down.x * p.x).abs() + (down.y * p.y).abs() + down.z.abs();
-            let bound = size / ground.height() * 2_f64.powi(-22);
+            let bound = size / ground.height() * 2_f64.powi(-21);
             prop_assert!((f64::from(*value) - truth).abs() <= bound, "{} instead of {}", value, truth);
         }
         prop_assert_eq!(view.camera_height(), ground.height() as f32);
@@ -181,8 +181,10 @@ proptest! {
         let ground = ground(height, pitch, roll);
         let coefficients = GroundCoefficients::new(&intrinsics, &ground);
         let tolerance = RowTolerance { relative_error: 0.02, up_to: 80.0 };
+        // Of a pixel at 80 m whose row's inverse depth is too small by as much as any is.
         let worst = oracle(&Pinhole::new(intrinsics), &ground).chunks_exact(161)
-            .map(|row| (row[0].unwrap() - row[80].unwrap()).abs() * 80.0)
+            .map(|row| (row[0].unwrap() - row[80].unwrap()).abs())
+            .map(|less| 1.0 / (1.0 / 80.0 - less).max(0.0) / 80.0 - 1.0)
             .fold(0.0, f64::max);
         let mut memory = [0.0; 90];
         match RowView::build(&mut memory, &coefficients, tolerance) {
@@ -198,7 +200,7 @@ proptest! {
             }
             Err(Error::RollTooLarge { relative_error }) => {
                 prop_assert!(worst > 0.02 - 1e-9);
-                prop_assert!((relative_error - worst).abs() < 1e-9);
+                prop_assert!((relative_error - worst).abs() <= 1e-6 * worst || relative_error == worst);
             }
             Err(other) => prop_assert!(false, "{}", other),
         }

@@ -185,7 +185,7 @@
 // Channels of a head.
 #define GEDEPTH_CORE_HEAD_CHANNELS 602
 
-// A value of a head is NaN or infinite.
+// A value of a head is NaN or beyond +-1e37.
 #define GEDEPTH_CORE_HEAD_NOT_FINITE 603
 
 // Scale of an 8-bit head.

@@ -104,7 +104,7 @@ pub const GEDEPTH_CORE_SLOPE_LOGIT_NOT_FINITE: i32 = 504;
 pub const GEDEPTH_CORE_HEAD_LENGTH: i32 = 601;
 /// Channels of a head.
 pub const GEDEPTH_CORE_HEAD_CHANNELS: i32 = 602;
-/// A value of a head is NaN or infinite.
+/// A value of a head is NaN or beyond +-1e37.
 pub const GEDEPTH_CORE_HEAD_NOT_FINITE: i32 = 603;
 /// Scale of an 8-bit head.
 pub const GEDEPTH_CORE_QUANTIZATION_SCALE: i32 = 604;
@@ -164,7 +164,7 @@ const TEXTS: &[(i32, &CStr)] = &[
     (GEDEPTH_CORE_SLOPE_LOGIT_NOT_FINITE, c"a slope logit is not finite"),
     (GEDEPTH_CORE_HEAD_LENGTH, c"a head's values do not fill its channels, rows and columns"),
     (GEDEPTH_CORE_HEAD_CHANNELS, c"a residual or attention head must have one channel"),
-    (GEDEPTH_CORE_HEAD_NOT_FINITE, c"a head holds a NaN or an infinite value"),
+    (GEDEPTH_CORE_HEAD_NOT_FINITE, c"a head holds a NaN or a value beyond +-1e37"),
     (GEDEPTH_CORE_QUANTIZATION_SCALE, c"quantization scale: must be positive, and all dequantized values finite"),
     (GEDEPTH_CORE_DEPTH_RANGE, c"depth range: must be 0 < min < max, finite"),
     (GEDEPTH_CORE_GROUND_LIMIT, c"ground limit: must be positive and finite"),

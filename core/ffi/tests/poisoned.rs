@@ -395,10 +395,10 @@ fn tables_of_any_bits() {
     }
 }
 
-/// Heads of extreme but finite values: still no NaN.
+/// Heads of the most extreme values that are accepted: still no NaN.
 #[test]
-fn heads_of_any_finite_bits() {
-    let values = [f32::MAX, f32::MIN, 1e-45, -0.0, 88.8, -104.0];
+fn heads_of_extreme_values() {
+    let values = [1e37, -1e37, 1e-45, -0.0, 88.8, -104.0];
     for unit in [1, 2] {
         for decode_at in [1, 2] {
             for value in values {

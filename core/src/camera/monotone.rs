@@ -1,13 +1,14 @@
 //! Inverting an increasing function of one variable: how radial distortions are undone.
 
 /// Where an increasing `f` on `[0, end]` takes the value `target`, which must lie between `f(0) = 0` and `f(end)`;
-/// `f` gives value and slope, `start` is a first guess. To 1e-9 and mostly far better.
+/// `f` gives value and slope, `start` is a first guess. To 1e-9 of `end`, or of 1 where that is less, and mostly far better.
 #[inline]
 pub(super) fn invert(f: impl Fn(f64) -> [f64; 2], target: f64, start: f64, end: f64) -> f64 {
     // Newton's steps, and halving where one would leave the bracket.
     let (mut low, mut high) = (0.0, end);
     // In this order NaN becomes 0.
     let mut x = start.max(low).min(high);
+    let enough = 1e-5 * end.min(1.0);
     for _ in 0..60 {
         let [value, slope] = f(x);
         let miss = target - value;
@@ -24,7 +25,7 @@ pub(super) fn invert(f: impl Fn(f64) -> [f64; 2], target: f64, start: f64, end: 
         let step = next - x;
         x = next;
         // What is left is of the order of the square of the step, and more where the function is flat.
-        if step.abs() <= 1e-5 * slope.min(1.0) {
+        if step.abs() <= enough * slope.min(1.0) {
             break;
         }
     }

@@ -50,7 +50,8 @@ impl CameraModel for Pinhole {
 
     fn forward_ray(&self, pixel: Pixel) -> Option<DVec2> {
         let (x, y) = self.intrinsics.image_plane(pixel);
-        super::forward(DVec3::new(x, y, 1.0))
+        let point = DVec2::new(x, y);
+        point.is_finite().then_some(point)
     }
 
     fn as_pinhole(&self) -> Option<&Intrinsics> {

@@ -262,7 +262,7 @@ impl<'a, 's> SlopeTangent<'a, 's> {
         let early = head.decode_at == DecodeAt::HeadSize;
         let width = if early { input } else { output }.width() as usize;
         let channels = if early { 1 } else { angles.len() };
-        let logits = scratch.take(channels * width)?;
+        let logits = scratch.take(channels.saturating_mul(width))?;
         let softmax = Softmax {
             angles,
             largest: scratch.take(width)?,

@@ -161,7 +161,7 @@ pub(super) fn decode_row(
     finite(largest, head)
 }
 
-/// Errs if a value of this head is NaN or infinite.
+/// Errs if a value of this head is NaN, infinite, or beyond [`FINITE`].
 #[inline(always)]
 pub(super) fn check_finite(row: &[f32], head: Head) -> Result<(), Error> {
     let mut largest = 0;
@@ -178,8 +178,11 @@ fn magnitude(value: f32) -> i32 {
     (value.to_bits() & 0x7fff_ffff).cast_signed()
 }
 
+/// Differences of what is within it, too, are finite: upsampling takes them.
+const FINITE: f32 = 1e37;
+
 fn finite(largest: i32, head: Head) -> Result<(), Error> {
-    if largest < magnitude(f32::INFINITY) {
+    if largest <= magnitude(FINITE) {
         Ok(())
     } else {
         Err(Error::HeadNotFinite(head))

@@ -39,7 +39,7 @@ pub const fn reference_scratch_len(
     } else {
         0
     };
-    let down = upsample::scratch_len(2, input, decoder).saturating_add(2 * decoder);
+    let down = upsample::scratch_len(2, input, decoder).saturating_add(decoder.saturating_mul(2));
     let up = upsample::scratch_len(1, decoder, input);
     slope.saturating_add(down).saturating_add(up)
 }

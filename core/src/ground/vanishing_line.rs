@@ -1,5 +1,7 @@
 //! Where the ground ends in the picture: its vanishing line.
 
+use core::cmp::Ordering;
+
 use glam::{DVec2, DVec3};
 use heapless::Vec;
 
@@ -7,6 +9,9 @@ use super::Ground;
 use crate::Point;
 use crate::camera::{CameraModel, Pixel};
 use crate::scalar::{atan2, sin_cos, sqrt};
+
+/// Sines of angles that are those of rounding: a pixel so near the line is on it.
+const LEVEL: f64 = 1e-12;
 
 /// More crossings of a line and a picture's border than any sensible lens makes.
 const CROSSINGS: usize = 8;
@@ -42,9 +47,14 @@ impl Ground {
         })
     }
 
-    /// The sine of the angle by which the pixel's ray dips below the vanishing line.
-    fn dip<C: CameraModel + ?Sized>(&self, camera: &C, pixel: Pixel) -> Option<f64> {
-        Some(self.down.vector().dot(camera.unproject(pixel)?.vector()))
+    /// Whether the pixel's ray dips below the vanishing line, is on it, or rises above.
+    fn side<C: CameraModel + ?Sized>(&self, camera: &C, pixel: Pixel) -> Option<Ordering> {
+        let dip = self.down.vector().dot(camera.unproject(pixel)?.vector());
+        Some(match dip {
+            _ if dip > LEVEL => Ordering::Greater,
+            _ if dip < -LEVEL => Ordering::Less,
+            _ => Ordering::Equal,
+        })
     }
 
     /// Crossings of the frame, walked clockwise from pixel to pixel.
@@ -58,28 +68,25 @@ impl Ground {
             .chain((0..=bottom).rev().map(|v| pixel(0, v)))
             // Back to where the walk began, for a frame that is one row high.
             .chain(core::iter::once(pixel(0, 0)));
-        let mut before: Option<(Pixel, f64)> = None;
+        let mut before: Option<(Pixel, Ordering)> = None;
         for here in walk {
-            let Some(dip) = self.dip(camera, here) else {
-                before = None;
-                continue;
-            };
-            if let Some((last, last_dip)) = before
-                && (last_dip > 0.0) != (dip > 0.0)
+            let side = self.side(camera, here);
+            if let (Some((last, last_side)), Some(side)) = (before, side)
+                && last_side != side
             {
                 // Full: more crossings than a lens makes; the first ones stand.
                 let _ = ends.push(self.between(camera, last, here));
             }
-            before = Some((here, dip));
+            before = side.map(|side| (here, side));
         }
     }
 
-    /// Halves the way between two neighbours on either side of the line.
+    /// Halves the way between two neighbours that are not on the same side of the line, to where the first one's ends.
     fn between<C: CameraModel + ?Sized>(&self, camera: &C, mut a: Pixel, mut b: Pixel) -> Pixel {
-        let below = self.dip(camera, a).unwrap_or(0.0) > 0.0;
+        let side = self.side(camera, a);
         for _ in 0..60 {
             let middle = Pixel::new(0.5 * (a.u + b.u), 0.5 * (a.v + b.v));
-            if (self.dip(camera, middle).unwrap_or(0.0) > 0.0) == below {
+            if self.side(camera, middle) == side {
                 a = middle;
             } else {
                 b = middle;

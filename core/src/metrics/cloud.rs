@@ -135,9 +135,10 @@ fn matches<F: Frame>(
         [x as i64, y as i64, z as i64]
     };
     let bucket = |cube: [i64; 3]| hash(cube) as usize % buckets.max(1);
-    // Counting sort: the ends of buckets, then, filling from the back, their starts.
+    // Counting sort: the ends of buckets, then, filling from the back, their starts. Without what never matches, which would
+    // all fall into a few buckets.
     ends.fill(0);
-    for other in others {
+    for other in others.iter().filter(|other| other.vector().is_finite()) {
         if let Some(end) = ends.get_mut(bucket(cube(other))) {
             *end += 1;
         }
@@ -148,6 +149,9 @@ fn matches<F: Frame>(
         *end = total;
     }
     for (index, other) in (0..).zip(others) {
+        if !other.vector().is_finite() {
+            continue;
+        }
         if let Some(end) = ends.get_mut(bucket(cube(other))) {
             *end -= 1;
             if let Some(place) = sorted.get_mut(*end as usize) {
@@ -169,7 +173,7 @@ fn matches<F: Frame>(
         })
     };
     let mut matched = 0;
-    for point in points {
+    for point in points.iter().filter(|point| point.vector().is_finite()) {
         let [x, y, z] = cube(point);
         // The own cube first: what matches mostly matches there.
         let around = |k: i64| [k, k.saturating_sub(1), k.saturating_add(1)].into_iter();

@@ -47,10 +47,16 @@ impl<'a> RowView<'a> {
         let middle = (f64::from(size.width()) - 1.0) / 2.0;
         let [_, per_column, _] = coefficients.coefficients();
         // Without any roll there is none, however far.
-        let relative_error = if per_column == 0.0 {
+        let share = if per_column == 0.0 {
             0.0
         } else {
             per_column.abs() * middle * tolerance.up_to
+        };
+        // An inverse depth too small by this share of it.
+        let relative_error = if share < 1.0 {
+            share / (1.0 - share)
+        } else {
+            f64::INFINITY
         };
         // NaN, and distances behind the camera, allow nothing.
         let allowed = (0.0..=tolerance.relative_error).contains(&relative_error);
