@@ -198,6 +198,9 @@ pub enum ContractError {
     /// Two entries exclude each other.
     #[error("the model's contract contradicts itself: {0}")]
     Contradictory(&'static str),
+    /// An entry stands there more than once.
+    #[error("the model's contract has the entry `gedepth.{0}` more than once; leave one")]
+    Repeated(String),
     /// An entry that this version does not know: it may change the meaning of others.
     #[error(
         "the model's contract has the unknown entry `gedepth.{0}`; it may be made for a newer gedepth"
@@ -271,14 +274,15 @@ impl Contract {
     pub fn from_metadata<'a>(
         metadata: impl IntoIterator<Item = (&'a str, &'a str)>,
     ) -> Result<Self, ContractError> {
-        let mut entries = Entries(
-            metadata
-                .into_iter()
-                .filter_map(|(key, value)| {
-                    Some((key.strip_prefix(PREFIX)?.to_owned(), value.to_owned()))
-                })
-                .collect(),
-        );
+        let mut entries = Entries(BTreeMap::new());
+        for (key, value) in metadata {
+            let Some(key) = key.strip_prefix(PREFIX) else {
+                continue;
+            };
+            if entries.0.insert(key.to_owned(), value.to_owned()).is_some() {
+                return Err(ContractError::Repeated(key.to_owned()));
+            }
+        }
         match entries.optional("contract") {
             None => return Err(ContractError::Absent),
             Some(version) if version == VERSION => {}

@@ -173,10 +173,14 @@ impl Estimator {
             all_maps_made: false,
             contract,
         };
-        // So that no real picture waits for memory to be mapped, or grows a buffer.
-        let black = vec![0; 3 * picture.0 as usize * picture.1 as usize];
-        if let Some(black) = Picture::new(picture, &black) {
-            estimator.run(black)?;
+        // So that no real picture waits for memory to be mapped, or grows a buffer. Not of one colour, which some networks
+        // divide by the deviation of.
+        let bytes: Vec<u8> = (0..=u8::MAX)
+            .cycle()
+            .take(3 * picture.0 as usize * picture.1 as usize)
+            .collect();
+        if let Some(picture) = Picture::new(picture, &bytes) {
+            estimator.run(picture)?;
             estimator.maps()?;
         }
         Ok(estimator)

@@ -1,7 +1,7 @@
 //! What a model file holds and how it will be run: what `gedepth inspect` prints.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tract_onnx::pb::tensor_proto::DataType;
@@ -16,6 +16,7 @@ use crate::engine::InspectedNode;
 #[non_exhaustive]
 pub struct Inspection {
     /// The file.
+    #[serde(serialize_with = "as_text")]
     pub path: PathBuf,
     /// Entries of its contract, `gedepth.` left out.
     pub contract: BTreeMap<String, String>,
@@ -31,6 +32,11 @@ pub struct Inspection {
     pub plan: PlanKind,
     /// Its nodes in the form that the engine works on, constants aside.
     pub nodes: Vec<InspectedNode>,
+}
+
+/// Paths need not be UTF-8, JSON has to be.
+fn as_text<S: serde::Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&path.display())
 }
 
 /// An input or output.

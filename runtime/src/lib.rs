@@ -15,7 +15,8 @@
 //!     Estimator::new(&Model::embedded()?, &calibration, image.dimensions(), None, OutputSize::Picture)?;
 //! let picture = Picture::new(image.dimensions(), image.as_raw()).ok_or("no pixels")?;
 //! let estimate = estimator.run(picture)?;
-//! println!("{:.1} m", estimate.depth[estimate.depth.len() / 2]);
+//! let (width, height) = estimate.size;
+//! println!("{:.1} m in the middle", estimate.depth[(height / 2 * width + width / 2) as usize]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

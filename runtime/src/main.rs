@@ -2,6 +2,7 @@
 
 mod command;
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -42,7 +43,8 @@ fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("gedepth: {error}");
+            // A log that is full must not change the exit code.
+            let _ = writeln!(std::io::stderr(), "gedepth: {error}");
             ExitCode::from(error.exit_code())
         }
     }

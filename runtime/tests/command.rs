@@ -297,6 +297,90 @@ fn calibrations_that_are_none_are_refused() {
     }
 }
 
+const OBJECT: &str = "P0: 700 0 620 0 0 700 187 0 0 0 1 0
+P2: 700 0 620 0 0 700 187 0 0 0 1 0
+R0_rect: 1 0 0 0 1 0 0 0 1
+Tr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27
+";
+const CAMERA: &str = "calib_time: 09-Jan-2012 13:57:47
+S_rect_02: 1242 375
+R_rect_00: 1 0 0 0 1 0 0 0 1
+P_rect_02: 700 0 620 0 0 700 187 0 0 0 1 0
+";
+const LIDAR: &str = "calib_time: 15-Mar-2012 11:37:16
+R: 0 -1 0 0 0 -1 1 0 0
+T: 0 -0.08 -0.27
+";
+
+/// KITTI's files; what is wrong with them is said of the file in which it is.
+#[test]
+fn kittis_calibrations_are_read_or_named() {
+    let folder = Folder::new();
+    let picture = scene().join("image.png");
+    for (number, (object, words)) in [
+        (OBJECT.to_owned(), vec![]),
+        (format!("\u{feff}{OBJECT}"), vec![]),
+        (
+            OBJECT.replace("P2: 7", "P2: x7"),
+            vec!["object.txt", "`P2` has `x700`"],
+        ),
+        (
+            OBJECT.replace("Tr_velo_to_cam: 0", "Tr_velo_to_cam:"),
+            vec!["object.txt", "`Tr_velo_to_cam` has 11 numbers"],
+        ),
+        (
+            OBJECT.replace("R0_rect", "R1_rect"),
+            vec!["object.txt", "`R0_rect` is missing"],
+        ),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let calibration = folder.file("object.txt", object);
+        let out = folder.dir.path().join(number.to_string());
+        let output = run(&picture, &calibration, &[], &out);
+        match words.is_empty() {
+            true => assert!(
+                output.status.success(),
+                "{}",
+                String::from_utf8_lossy(&output.stderr)
+            ),
+            false => assert_refused(&output, CALIBRATION_ERROR, &words, &out),
+        }
+    }
+    for (lidar, words) in [
+        (
+            LIDAR.replace("T: 0", "T:"),
+            ["calib_velo_to_cam.txt", "`T` has 2 numbers"],
+        ),
+        (
+            LIDAR.replace("R: 0", "R: zero"),
+            ["calib_velo_to_cam.txt", "`R` has `zero`"],
+        ),
+        (
+            LIDAR.replace("R: ", "r: "),
+            ["calib_velo_to_cam.txt", "`R` is missing"],
+        ),
+    ] {
+        folder.file("calib_velo_to_cam.txt", lidar);
+        let calibration = folder.file("calib_cam_to_cam.txt", CAMERA);
+        let output = run(&picture, &calibration, &[], &folder.out());
+        assert_refused(&output, CALIBRATION_ERROR, &words, &folder.out());
+    }
+    folder.file("calib_velo_to_cam.txt", LIDAR);
+    let output = run(
+        &picture,
+        &folder.file("calib_cam_to_cam.txt", CAMERA),
+        &[],
+        &folder.out(),
+    );
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+}
+
 #[test]
 fn models_that_are_none_are_refused() {
     let folder = Folder::new();
@@ -430,6 +514,64 @@ fn outputs_of_an_earlier_run_do_not_stay_among_those_of_another() {
     assert_eq!(output.status.code(), Some(WRITE_ERROR));
     assert!(String::from_utf8_lossy(&output.stderr).contains("ground.png"));
     assert_eq!(fs::read(folder.out().join("depth.png")).unwrap(), before);
+}
+
+/// A folder in the way of what is only to be removed.
+#[test]
+fn nothing_is_written_beside_what_cannot_be_removed() {
+    let folder = Folder::new();
+    let attention = folder.out().join("attention.png");
+    fs::create_dir_all(&attention).unwrap();
+    let baseline = model().with_file_name("baseline-int8.onnx");
+    let output = run(
+        &scene().join("image.png"),
+        &scene().join("calibration.json"),
+        &["--model", baseline.to_str().unwrap()],
+        &folder.out(),
+    );
+    assert_eq!(output.status.code(), Some(WRITE_ERROR));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("attention.png"));
+    assert_eq!(fs::read_dir(folder.out()).unwrap().count(), 1);
+}
+
+/// A full log does not change the exit code.
+#[test]
+fn an_error_that_cannot_be_told_keeps_its_code() {
+    let Ok(full) = fs::File::options().write(true).open("/dev/full") else {
+        return;
+    };
+    let status = Command::new(env!("CARGO_BIN_EXE_gedepth"))
+        .args(["inspect", "absent.onnx"])
+        .stderr(full)
+        .status()
+        .unwrap();
+    assert_eq!(status.code(), Some(MODEL_ERROR));
+}
+
+/// Paths need not be text.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_model_whose_name_is_no_text_is_inspected() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = Folder::new();
+    let path = folder
+        .dir
+        .path()
+        .join(std::ffi::OsStr::from_bytes(b"m\xff.onnx"));
+    fs::copy(model(), &path).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_gedepth"));
+    let output = command
+        .args(["inspect", "--json"])
+        .arg(path)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(json["path"].as_str().unwrap().ends_with("m\u{fffd}.onnx"));
 }
 
 /// A script must not take half a table for a whole one.

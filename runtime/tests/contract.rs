@@ -170,6 +170,19 @@ fn residuals_have_the_form_that_is_said() {
     }
 }
 
+/// ONNX allows it, and readers differ in which they take.
+#[test]
+fn repeated_entries_are_refused() {
+    let again = [("gedepth.slope_sign", "uphill_positive")];
+    let refused = Contract::from_metadata(ADAPTIVE.into_iter().chain(again)).unwrap_err();
+    assert_eq!(refused, ContractError::Repeated("slope_sign".to_owned()));
+    assert!(
+        refused
+            .to_string()
+            .contains("`gedepth.slope_sign` more than once")
+    );
+}
+
 #[test]
 fn foreign_metadata_is_ignored() {
     let foreign = [("author", "somebody")];

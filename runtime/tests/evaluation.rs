@@ -132,18 +132,27 @@ fn an_estimate_at_another_size_is_refused() {
         crop: CropRule::None,
         cloud_threshold_m: 0.1,
     });
-    let estimate = Estimate {
-        size: (48, 32),
-        placement: Placement {
-            left: 0,
-            top: 0,
-            region: (96, 64),
-            network: (48, 32),
-        },
-        depth: &[1.0; 48 * 32],
-        times: StageTimes::default(),
-    };
-    evaluator.score(&frame, &estimate).unwrap_err();
+    // Not at the region's size; of smaller pictures; of larger ones.
+    for (size, region) in [
+        ((48, 32), (96, 64)),
+        ((48, 32), (48, 32)),
+        ((96, 32), (96, 32)),
+        ((192, 64), (192, 64)),
+        ((96, 128), (96, 128)),
+    ] {
+        let estimate = Estimate {
+            size,
+            placement: Placement {
+                left: 0,
+                top: 0,
+                region,
+                network: (48, 32),
+            },
+            depth: &vec![1.0; size.0 as usize * size.1 as usize],
+            times: StageTimes::default(),
+        };
+        evaluator.score(&frame, &estimate).unwrap_err();
+    }
 }
 
 #[test]
@@ -275,6 +284,69 @@ fn writes_tables_numbers_and_depth() {
     );
 }
 
+/// Devices, pipes and links are written through, not replaced.
+#[cfg(unix)]
+#[test]
+fn outputs_that_are_no_plain_files() {
+    let dir = TempDir::new().unwrap();
+    let (file, link) = (dir.path().join("scores.json"), dir.path().join("link.json"));
+    fs::write(&file, "an older one").unwrap();
+    std::os::unix::fs::symlink("scores.json", &link).unwrap();
+    let arguments = [
+        "--json",
+        link.to_str().unwrap(),
+        "--markdown",
+        "/dev/stdout",
+    ];
+    let output = eval(&[&case()], &arguments);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    assert!(json_file(&file)["models"].is_array());
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(text.matches("**all**").count() % 2, 0);
+    assert!(text.matches("Abs Rel").count() >= 2);
+}
+
+/// Pictures of several sizes with a calibration that names none are each a camera of their own; and names of files that mean
+/// something in Markdown.
+#[test]
+fn pictures_of_two_sizes_and_odd_names() {
+    let dir = TempDir::new().unwrap();
+    let set = dir.path().join("day|night");
+    let text = "P2: 60 0 47 0 0 60 30 0 0 0 1 0
+Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0
+";
+    for (name, size) in [("a", (96, 64)), ("b", (128, 96)), ("c", (96, 64))] {
+        let frame = set.join(name);
+        fs::create_dir_all(&frame).unwrap();
+        image::RgbImage::new(size.0, size.1)
+            .save(frame.join("image.png"))
+            .unwrap();
+        let depth = image::ImageBuffer::from_pixel(size.0, size.1, image::Luma([2560_u16]));
+        depth.save(frame.join("depth.png")).unwrap();
+        fs::write(frame.join("calibration.json"), text).unwrap();
+    }
+    let output = eval(&[&set], &[]);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let tables = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        tables.contains(r"| day\|night | embedded | 3 |"),
+        "{tables}"
+    );
+    let parent = dir.path().join("...onnx");
+    fs::copy(model("adaptive-int8"), &parent).unwrap();
+    let refused = eval(&[&set], &["--model", parent.to_str().unwrap()]);
+    assert_refused(&refused, MODEL_ERROR, &["...onnx", "rename"]);
+}
+
 /// Scales and zero points are not parameters: a network has as many in f32 as quantized.
 #[test]
 fn quantization_adds_no_parameters() {
@@ -400,12 +472,21 @@ fn what_does_not_fit_together_is_named() {
     let absent = eval(&[&case()], &["--model", "absent.onnx"]);
     assert_refused(&absent, MODEL_ERROR, &["absent.onnx"]);
     if Path::new("/proc/self").exists() {
+        // Found out before what takes long.
+        let nowhere = eval(&[&case()], &["--json", "/proc/none/scores.json"]);
+        assert_refused(&nowhere, WRITE_ERROR, &["/proc/none"]);
         // What took long is not lost with the file.
-        let full = eval(&[&case()], &["--json", "/proc/none/scores.json"]);
+        let full = eval(&[&case()], &["--json", "/dev/full"]);
         assert_eq!(full.status.code(), Some(WRITE_ERROR));
-        assert!(String::from_utf8_lossy(&full.stderr).contains("/proc/none"));
+        assert!(String::from_utf8_lossy(&full.stderr).contains("/dev/full"));
         assert!(String::from_utf8_lossy(&full.stdout).contains("Abs Rel"));
     }
+    let dir = TempDir::new().unwrap();
+    let [one, same] = ["x.txt", "./x.txt"].map(|name| dir.path().join(name));
+    let [one, same] = [&one, &same].map(|path| path.to_str().unwrap());
+    let both = eval(&[&case()], &["--json", one, "--markdown", same]);
+    assert_refused(&both, WRITE_ERROR, &["x.txt", "another output"]);
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
     for wrong in [
         ["--cap", "0"],
         ["--cap", "far"],

@@ -1,5 +1,6 @@
 //! Cameras: a model bound to a calibration, which takes pictures and writes depth.
 
+use std::iter;
 use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::Instant;
 
@@ -207,11 +208,15 @@ impl gedepth_camera {
         let picture = (calibration.width, calibration.height);
         let calibration = calibration.checked()?;
         let mut estimator = Estimator::new(&model.model, &calibration, picture, network, output)?;
-        // Not zeros, so that the memory is there, not promised.
-        let packed = vec![1; 3 * picture.0 as usize * picture.1 as usize];
-        let blank = Picture::new(picture, &packed)
+        // Not zeros, so that the memory is there, not promised; and not of one colour, which some networks divide by the
+        // deviation of.
+        let packed: Vec<u8> = (0..=u8::MAX)
+            .cycle()
+            .take(3 * picture.0 as usize * picture.1 as usize)
+            .collect();
+        let first = Picture::new(picture, &packed)
             .ok_or_else(|| Failure::plain(crate::result::GEDEPTH_IMAGE_SIZE))?;
-        let estimate = estimator.run(blank)?;
+        let estimate = estimator.run(first)?;
         let placement = estimate.placement;
         let shape = gedepth_shape {
             picture_width: picture.0,
@@ -257,6 +262,7 @@ impl gedepth_camera {
         times: *mut gedepth_times,
         deadline_ns: u64,
     ) -> Result<()> {
+        let (picture_span, maps_span) = (Array::one(picture)?.span(), Array::one(maps)?.span());
         // SAFETY: passed on.
         let (picture, maps) = unsafe { (read(picture)?, read(maps)?) };
         let times = match times.is_null() {
@@ -277,7 +283,10 @@ impl gedepth_camera {
             *span = output.as_ref().map(|(array, _)| array.span());
         }
         written[3] = times.as_ref().map(Array::span);
-        check_disjoint(written.iter().flatten(), &[bytes.span()])?;
+        check_disjoint(
+            written.iter().flatten(),
+            &[bytes.span(), picture_span, maps_span],
+        )?;
 
         let mut state = self.state()?;
         let State {
@@ -426,18 +435,19 @@ pub unsafe extern "C" fn gedepth_camera_open(
 ) -> i32 {
     guarded(|| {
         // SAFETY: the crate's contract.
-        let (model, calibration) = unsafe { (look(model)?, read(calibration)?) };
+        let (model, numbers) = unsafe { (look(model)?, read(calibration)?) };
+        let place = Array::one(camera)?.span();
+        check_disjoint(iter::once(&place), &[Array::one(calibration)?.span()])?;
         let options = match options.is_null() {
             true => gedepth_options::default(),
-            // SAFETY: as above.
-            false => unsafe { read(options) }?,
+            false => {
+                check_disjoint(iter::once(&place), &[Array::one(options)?.span()])?;
+                // SAFETY: as above.
+                unsafe { read(options) }?
+            }
         };
         // SAFETY: as above.
-        unsafe {
-            open(camera, || {
-                gedepth_camera::new(model, &calibration, &options)
-            })
-        }
+        unsafe { open(camera, || gedepth_camera::new(model, &numbers, &options)) }
     })
 }
 

@@ -516,6 +516,21 @@ fn what_cannot_be_done_is_refused_by_number_and_nothing_is_written() {
             ),
             GEDEPTH_MISALIGNED
         );
+        // The call's own structs, as in a union.
+        let mut maps_or_times = [good_maps; 2];
+        let times = maps_or_times.as_mut_ptr();
+        assert_eq!(
+            run(camera.0, &good, times.cast_const(), 0, times.cast()),
+            GEDEPTH_OVERLAP
+        );
+        let model = Handle::embedded();
+        let mut numbers = [calibration(); 2];
+        let place = numbers.as_mut_ptr();
+        assert_eq!(
+            gedepth_camera_open(model.0, place.cast_const(), null(), place.cast()),
+            GEDEPTH_OVERLAP
+        );
+        assert_eq!(numbers[0].width, calibration().width);
         // No handle: nothing to close.
         gedepth_camera_close(null_mut());
         gedepth_model_close(null_mut());

@@ -20,8 +20,8 @@ use super::{Distortion, Numbers};
 /// The paper's ground for KITTI: metres along the LiDAR's z axis.
 const GROUND_OFFSET: f64 = -1.65;
 
-/// The numbers of a file by key. Lines that hold something else than numbers (dates) are left out.
-pub(super) struct Entries(BTreeMap<String, Vec<f64>>);
+/// The numbers of a file by key, or the first word that is none (some lines hold dates).
+pub(super) struct Entries(BTreeMap<String, Result<Vec<f64>, String>>);
 
 impl Entries {
     pub(super) fn parse(text: &str) -> Self {
@@ -31,8 +31,8 @@ impl Entries {
                     let mut words = line.split_ascii_whitespace();
                     let key = words.next()?.trim_end_matches(':').to_owned();
                     let numbers = words
-                        .map(|w| w.parse().ok())
-                        .collect::<Option<Vec<f64>>>()?;
+                        .map(|word| word.parse().map_err(|_| word.to_owned()))
+                        .collect();
                     Some((key, numbers))
                 })
                 .collect(),
@@ -44,10 +44,13 @@ impl Entries {
     }
 
     fn get<const N: usize>(&self, key: &str) -> Result<[f64; N], String> {
-        let numbers = self
-            .0
-            .get(key)
-            .ok_or_else(|| format!("`{key}` is missing"))?;
+        let numbers = match self.0.get(key) {
+            Some(Ok(numbers)) => numbers,
+            Some(Err(word)) => {
+                return Err(format!("`{key}` has `{word}` where a number should be"));
+            }
+            None => return Err(format!("`{key}` is missing")),
+        };
         numbers
             .as_slice()
             .try_into()
@@ -81,8 +84,14 @@ pub(super) fn single(file: &Entries) -> Result<Numbers, String> {
     numbers(None, file.affine("P2")?, rotation, file.affine(lidar)?)
 }
 
-/// KITTI raw: the camera file and the LiDAR file.
-pub(super) fn raw(cam_to_cam: &Entries, velo_to_cam: &Entries) -> Result<Numbers, String> {
+/// LiDAR to camera 0, of the LiDAR's file of KITTI raw.
+pub(super) fn lidar(velo_to_cam: &Entries) -> Result<(DMat3, DVec3), String> {
+    let translation = velo_to_cam.get("T")?;
+    Ok((velo_to_cam.matrix("R")?, DVec3::from_array(translation)))
+}
+
+/// KITTI raw: the camera file, and what the LiDAR file says.
+pub(super) fn raw(cam_to_cam: &Entries, lidar: (DMat3, DVec3)) -> Result<Numbers, String> {
     let [width, height]: [f64; 2] = cam_to_cam.get("S_rect_02")?;
     if !(width >= 1.0 && height >= 1.0 && width <= 65536.0 && height <= 65536.0) {
         return Err(format!("`S_rect_02` is not a size: {width} x {height}"));
@@ -91,10 +100,7 @@ pub(super) fn raw(cam_to_cam: &Entries, velo_to_cam: &Entries) -> Result<Numbers
         Some((width as u32, height as u32)),
         cam_to_cam.affine("P_rect_02")?,
         cam_to_cam.matrix("R_rect_00")?,
-        (
-            velo_to_cam.matrix("R")?,
-            DVec3::from_array(velo_to_cam.get("T")?),
-        ),
+        lidar,
     )
 }
 

@@ -44,13 +44,21 @@ impl Numbers {
     /// beside it.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = read_text(path)?;
+        // Some editors begin a file with a byte order mark.
+        let text = text.trim_start_matches('\u{feff}');
+        let malformed = |path: &Path| {
+            let path = path.to_owned();
+            move |reason| Error::CalibrationFormat { path, reason }
+        };
         let numbers = if text.trim_start().starts_with('{') {
-            json::parse(&text)
+            json::parse(text)
         } else {
-            let entries = kitti::Entries::parse(&text);
+            let entries = kitti::Entries::parse(text);
             if entries.has("P_rect_02") {
-                let lidar = path.with_file_name("calib_velo_to_cam.txt");
-                kitti::raw(&entries, &kitti::Entries::parse(&read_text(&lidar)?))
+                let beside = path.with_file_name("calib_velo_to_cam.txt");
+                let lidar = kitti::lidar(&kitti::Entries::parse(&read_text(&beside)?))
+                    .map_err(malformed(&beside))?;
+                kitti::raw(&entries, lidar)
             } else if entries.has("P2") {
                 kitti::single(&entries)
             } else {
@@ -60,10 +68,7 @@ impl Numbers {
                 )
             }
         };
-        numbers.map_err(|reason| Error::CalibrationFormat {
-            path: path.to_owned(),
-            reason,
-        })
+        numbers.map_err(malformed(path))
     }
 }
 

@@ -1,5 +1,6 @@
 //! Output files: beside their place first, renamed once complete.
 
+use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -21,35 +22,89 @@ pub(crate) fn remove(path: &Path) -> Result<(), Error> {
     }
 }
 
+/// Whether files can be written there, each its own, as far as can be told without writing them: before work that takes long.
+pub(crate) fn check<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), Error> {
+    let mut targets = Vec::new();
+    for path in paths {
+        if let Place::File { target, dir } = Place::of(path)? {
+            if targets.contains(&target) {
+                let reason = "another output goes there, too".to_owned();
+                return Err(Error::Write {
+                    path: path.clone(),
+                    reason,
+                });
+            }
+            beside_the_output(&dir).map_err(failed(path.clone()))?;
+            targets.push(target);
+        }
+    }
+    Ok(())
+}
+
 /// Writes all files or none: each beside its place first, all renamed once all are complete. Folders are made if they are
-/// not there.
+/// not there; what a link leads to is replaced, not the link; devices and pipes are written to.
 pub(crate) fn write_together(files: &[(PathBuf, Vec<u8>)]) -> Result<(), Error> {
     let mut complete = Vec::new();
     for (path, bytes) in files {
-        if path.is_dir() {
-            // Found out by renaming, others would be in their places.
-            return Err(failed(path.clone())(
-                std::io::ErrorKind::IsADirectory.into(),
-            ));
-        }
+        let place = Place::of(path)?;
+        let beside = match &place {
+            Place::Stream => None,
+            Place::File { dir, .. } => {
+                let beside = || {
+                    let mut file = beside_the_output(dir)?;
+                    file.write_all(bytes)?;
+                    file.as_file().sync_all()?;
+                    Ok(file)
+                };
+                Some(beside().map_err(failed(path.clone()))?)
+            }
+        };
+        complete.push((path, bytes, place, beside));
+    }
+    for (path, bytes, place, beside) in complete {
+        let written = match (place, beside) {
+            (Place::File { target, .. }, Some(file)) => {
+                file.persist(target).map(drop).map_err(|e| e.error)
+            }
+            _ => OpenOptions::new()
+                .write(true)
+                .open(path)
+                .and_then(|mut stream| stream.write_all(bytes)),
+        };
+        written.map_err(failed(path.clone()))?;
+    }
+    Ok(())
+}
+
+/// What an output's path leads to.
+enum Place {
+    /// A file, there or not, in a folder that is there.
+    File { target: PathBuf, dir: PathBuf },
+    /// A device or a pipe.
+    Stream,
+}
+
+impl Place {
+    fn of(path: &Path) -> Result<Self, Error> {
+        let is_a_folder = || failed(path.to_owned())(std::io::ErrorKind::IsADirectory.into());
+        let path = match std::fs::metadata(path) {
+            // Found out by renaming, other files would be in their places.
+            Ok(there) if there.is_dir() => return Err(is_a_folder()),
+            Ok(there) if !there.is_file() => return Ok(Self::Stream),
+            Ok(_) => &std::fs::canonicalize(path).map_err(failed(path.to_owned()))?,
+            Err(_) => path,
+        };
+        let name = path.file_name().ok_or_else(is_a_folder)?;
         let dir = path
             .parent()
             .filter(|dir| !dir.as_os_str().is_empty())
             .unwrap_or(Path::new("."));
-        std::fs::create_dir_all(dir).map_err(failed(dir.to_owned()))?;
-        let beside = || {
-            let mut file = beside_the_output(dir)?;
-            file.write_all(bytes)?;
-            file.as_file().sync_all()?;
-            Ok(file)
-        };
-        complete.push((path, beside().map_err(failed(path.clone()))?));
+        let dir = std::fs::create_dir_all(dir)
+            .and_then(|()| std::fs::canonicalize(dir))
+            .map_err(failed(dir.to_owned()))?;
+        let target = dir.join(name);
+        Ok(Self::File { target, dir })
     }
-    for (path, file) in complete {
-        file.persist(path)
-            .map_err(|e| failed(path.clone())(e.error))?;
-    }
-    Ok(())
 }
 
 /// A file with the permissions of any other new file: without them only its owner could read it.

@@ -8,7 +8,7 @@ use gedepth::{Error, Estimate, Maps, OutputSize, Picture, StageTimes, render};
 use image::{DynamicImage, ImageFormat};
 
 use super::inputs::{Inputs, Opened};
-use super::output::{remove, write_together};
+use super::output::{check, remove, write_together};
 
 /// What a model without attention does not write.
 const ATTENTION: &str = "attention.png";
@@ -46,9 +46,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         ..
     } = estimator.run(picture)?;
     let maps = estimator.maps()?;
+    let attention = arguments.out.join(ATTENTION);
+    check([&attention])?;
     write_together(&rendered(maps, size.0, &arguments.out)?)?;
     if maps.attention.is_none() {
-        remove(&arguments.out.join(ATTENTION))?;
+        remove(&attention)?;
     }
 
     let contract = model.contract();

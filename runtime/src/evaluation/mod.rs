@@ -73,7 +73,7 @@ impl Evaluator {
     /// The scores of one picture.
     ///
     /// # Errors
-    /// When the protocol's threshold is not positive and finite, or the estimate is not at the picture's size
+    /// When the protocol's threshold is not positive and finite, or the estimate is not of this picture at its size
     /// ([`OutputSize::Picture`](crate::OutputSize::Picture)).
     pub fn score(
         &mut self,
@@ -84,7 +84,10 @@ impl Evaluator {
         let size = ImageSize::new(width, height)?;
         let (left, top) = (estimate.placement.left, estimate.placement.top);
         let (columns, rows) = estimate.size;
-        if estimate.size != estimate.placement.region {
+        let of_this_picture = columns <= width
+            && rows <= height
+            && (left, top) == ((width - columns) / 2, height - rows);
+        if estimate.size != estimate.placement.region || !of_this_picture {
             return Err(gedepth_core::Error::OutputLength {
                 needed: size.pixels(),
                 given: estimate.depth.len(),

@@ -12,7 +12,7 @@ use gedepth::{Calibration, Error, Estimator, Model, OutputSize, Picture};
 use gedepth_core::fusion::DepthRange;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::output::write_together;
+use super::output::{check, write_together};
 use super::size;
 use report::Report;
 
@@ -80,12 +80,12 @@ struct Measured {
     masks: u64,
 }
 
-/// A model, its scores by data set, and its estimator for the camera seen last.
+/// A model, its scores by data set, and its estimator for the size of picture and the camera seen last.
 struct Candidate {
     name: String,
     model: Model,
     scores: Vec<Scores>,
-    estimator: Option<(Calibration, Estimator)>,
+    estimator: Option<((u32, u32), Calibration, Estimator)>,
 }
 
 impl Candidate {
@@ -95,18 +95,21 @@ impl Candidate {
         frame: &Frame,
         network_size: Option<(u32, u32)>,
     ) -> Result<&mut Estimator, Error> {
-        let (_, estimator) = match self.estimator.take() {
-            Some(known) if known.0.same_camera(&frame.calibration) => self.estimator.insert(known),
+        let picture = frame.picture.dimensions();
+        let (.., estimator) = match self.estimator.take() {
+            Some(known) if known.0 == picture && known.1.same_camera(&frame.calibration) => {
+                self.estimator.insert(known)
+            }
             _ => {
+                let calibration = frame.calibration.clone();
                 let estimator = Estimator::new(
                     &self.model,
-                    &frame.calibration,
-                    frame.picture.dimensions(),
+                    &calibration,
+                    picture,
                     network_size,
                     OutputSize::Picture,
                 )?;
-                self.estimator
-                    .insert((frame.calibration.clone(), estimator))
+                self.estimator.insert((picture, calibration, estimator))
             }
         };
         Ok(estimator)
@@ -121,6 +124,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     };
     let mut sets = data_sets(&arguments.data_sets, arguments.limit)?;
     let mut candidates = candidates(&arguments.models, sets.len())?;
+    check([&arguments.markdown, &arguments.json].into_iter().flatten())?;
     let mut evaluator = Evaluator::new(protocol);
     let progress = progress(&sets);
     for (index, measured) in sets.iter_mut().enumerate() {
@@ -137,10 +141,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
                     })?;
                 candidate.scores[index].merge(&scores);
                 if let Some(dir) = &arguments.save_depth {
+                    let mut name = path.file_name().unwrap_or_default().to_owned();
+                    name.push(".f32");
                     let file = dir
                         .join(&candidate.name)
                         .join(&measured.set.name)
-                        .join(format!("{}.f32", frame.name));
+                        .join(name);
                     let bytes = evaluator.depth().iter().flat_map(|z| z.to_le_bytes());
                     write_together(&[(file, bytes.collect())])?;
                 }
@@ -221,7 +227,14 @@ fn candidates(paths: &[PathBuf], sets: usize) -> Result<Vec<Candidate>, Error> {
         add("embedded".to_owned(), Model::embedded()?)?;
     }
     for path in paths {
-        add(stem(path), Model::from_file(path)?)?;
+        let name = stem(path);
+        if name == "." || name == ".." {
+            return Err(Error::Model {
+                path: path.clone(),
+                reason: format!("`{name}` is no name for a model; rename it"),
+            });
+        }
+        add(name, Model::from_file(path)?)?;
     }
     Ok(candidates)
 }

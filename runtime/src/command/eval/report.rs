@@ -323,6 +323,10 @@ fn table(text: &mut String, head: &[&str], rows: impl Iterator<Item = Vec<String
     let _ = writeln!(text, "| {} |", head.join(" | "));
     let _ = writeln!(text, "|{}", "---|".repeat(head.len()));
     for row in rows {
-        let _ = writeln!(text, "| {} |", row.join(" | "));
+        // Names of files may hold what ends a cell or a row.
+        let cells = row
+            .iter()
+            .map(|cell| cell.replace('|', "\\|").replace(['\n', '\r'], " "));
+        let _ = writeln!(text, "| {} |", cells.collect::<Vec<_>>().join(" | "));
     }
 }
