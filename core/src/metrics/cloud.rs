@@ -173,7 +173,7 @@ fn matches<F: Frame>(
         })
     };
     let mut matched = 0;
-    for point in points.iter().filter(|point| point.vector().is_finite()) {
+    for point in points {
         let [x, y, z] = cube(point);
         // The own cube first: what matches mostly matches there.
         let around = |k: i64| [k, k.saturating_sub(1), k.saturating_add(1)].into_iter();
