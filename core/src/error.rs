@@ -151,7 +151,7 @@ pub enum Error {
         /// Which head.
         Head,
     ),
-    /// The scale of an 8-bit head is not finite or not positive.
+    /// The scale of an 8-bit head is not positive, or so large that values would be beyond +-1e37.
     QuantizationScale(f32),
     /// A depth range that is not `0 < min < max`, all finite.
     DepthRange {
@@ -350,7 +350,10 @@ impl fmt::Display for Error {
                 }
             ),
             Self::QuantizationScale(scale) => {
-                write!(f, "quantization scale {scale}: must be positive and finite")
+                write!(
+                    f,
+                    "quantization scale {scale}: must be positive, and 255 of it at most 1e37"
+                )
             }
             Self::DepthRange { min, max } => write!(
                 f,

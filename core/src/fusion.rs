@@ -29,7 +29,7 @@
 //!
 //! # Errors and panics
 //!
-//! Wrong lengths are errors, and so are head values that are not finite (in rows that are read: all, unless a head is made
+//! Wrong lengths are errors, and so are head values that are NaN or beyond +-1e37 (in rows that are read: all, unless a head is made
 //! smaller; of slopes those where there can be ground); after an error outputs hold a part of the picture. Nothing panics.
 
 mod decode;
@@ -38,7 +38,8 @@ mod reference;
 mod upsample;
 
 pub use head::{
-    AttentionHead, AttentionUnit, DecodeAt, HeadMap, ResidualHead, ResidualUnit, Samples, SlopeHead,
+    AttentionHead, AttentionUnit, DecodeAt, HEAD_VALUE_MAX, HeadMap, ResidualHead, ResidualUnit,
+    Samples, SlopeHead,
 };
 pub use reference::{ReferenceFusion, reference_scratch_len};
 pub use upsample::Upsampling;

@@ -966,7 +966,7 @@ fn refusals() {
             given: 65
         }
     );
-    for scale in [0.0, -1.0, f32::INFINITY] {
+    for scale in [0.0, -1.0, 4e34, f32::MAX, f32::INFINITY] {
         let samples = Samples::I8 {
             values: &[0; 32],
             scale,
@@ -977,12 +977,7 @@ fn refusals() {
             Error::QuantizationScale(scale)
         );
     }
-    let huge = Samples::U8 {
-        values: &[255; 32],
-        scale: f32::MAX,
-        zero_point: 0,
-    };
-    let huge = HeadMap::new(huge, 1, size).unwrap();
+    let huge = HeadMap::new(Samples::F32(&[f32::MAX; 32]), 1, size).unwrap();
 
     for (min, max) in [
         (0.0, 1.0),

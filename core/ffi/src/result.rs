@@ -165,7 +165,7 @@ const TEXTS: &[(i32, &CStr)] = &[
     (GEDEPTH_CORE_HEAD_LENGTH, c"a head's values do not fill its channels, rows and columns"),
     (GEDEPTH_CORE_HEAD_CHANNELS, c"a residual or attention head must have one channel"),
     (GEDEPTH_CORE_HEAD_NOT_FINITE, c"a head holds a NaN or a value beyond +-1e37"),
-    (GEDEPTH_CORE_QUANTIZATION_SCALE, c"quantization scale: must be positive, and all dequantized values finite"),
+    (GEDEPTH_CORE_QUANTIZATION_SCALE, c"quantization scale: must be positive, and 255 of it at most 1e37"),
     (GEDEPTH_CORE_DEPTH_RANGE, c"depth range: must be 0 < min < max, finite"),
     (GEDEPTH_CORE_GROUND_LIMIT, c"ground limit: must be positive and finite"),
     (GEDEPTH_CORE_OUTPUT_LENGTH, c"an output has another length than the picture's pixels"),

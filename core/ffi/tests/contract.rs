@@ -415,13 +415,19 @@ fn fusion_refuses() {
         (GEDEPTH_CORE_HEAD_NOT_FINITE, |s| {
             *s.logits.last_mut().unwrap() = f32::NEG_INFINITY
         }),
+        (GEDEPTH_CORE_HEAD_NOT_FINITE, |s| {
+            *s.attention_values.last_mut().unwrap() = f32::MAX;
+        }),
+        (GEDEPTH_CORE_HEAD_NOT_FINITE, |s| {
+            *s.residual_values.last_mut().unwrap() = -1.1e37;
+        }),
         (GEDEPTH_CORE_QUANTIZATION_SCALE, |s| {
             s.slope.format = GEDEPTH_CORE_I8;
             s.slope.scale = 0.0;
         }),
         (GEDEPTH_CORE_QUANTIZATION_SCALE, |s| {
             s.slope.format = GEDEPTH_CORE_U8;
-            s.slope.scale = f32::MAX;
+            s.slope.scale = 4e34;
         }),
         (GEDEPTH_CORE_ZERO_POINT, |s| {
             s.slope.format = GEDEPTH_CORE_I8;

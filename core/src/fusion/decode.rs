@@ -34,7 +34,7 @@ impl Decoding {
         }
     }
 
-    /// Writes what the numbers of a head say. Errs if one is NaN or infinite.
+    /// Writes what the numbers of a head say. Errs if one is NaN or beyond [`HEAD_VALUE_MAX`](super::HEAD_VALUE_MAX).
     #[inline(always)]
     fn row(self, head: Head, numbers: &[f32], row: &mut [f32]) -> Result<(), Error> {
         match self {

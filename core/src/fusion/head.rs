@@ -43,7 +43,8 @@ impl<'a> HeadMap<'a> {
     ///
     /// # Errors
     /// [`Error::HeadLength`] if the number of values is not `channels * size.pixels()`,
-    /// [`Error::QuantizationScale`] if a scale is not positive and finite.
+    /// [`Error::QuantizationScale`] if a scale is not positive, or a byte may stand for more than
+    /// [`HEAD_VALUE_MAX`].
     pub fn new(samples: Samples<'a>, channels: usize, size: ImageSize) -> Result<Self, Error> {
         let (given, scale) = match samples {
             Samples::F32(values) => (values.len(), 1.0),
@@ -54,7 +55,8 @@ impl<'a> HeadMap<'a> {
         if given != needed {
             return Err(Error::HeadLength { needed, given });
         }
-        if !(scale > 0.0 && scale.is_finite()) {
+        // No difference of two bytes is larger.
+        if !(scale > 0.0 && 255.0 * scale <= HEAD_VALUE_MAX) {
             return Err(Error::QuantizationScale(scale));
         }
         Ok(Self {
@@ -129,7 +131,7 @@ impl<'a> HeadMap<'a> {
         }
     }
 
-    /// Writes row `y` of a channel as numbers; `row` has the map's width. Errs if one is NaN or infinite.
+    /// Writes row `y` of a channel as numbers; `row` has the map's width. Errs if one is NaN or beyond [`HEAD_VALUE_MAX`].
     #[inline(always)]
     pub(super) fn write_row(
         &self,
@@ -145,7 +147,7 @@ impl<'a> HeadMap<'a> {
 }
 
 /// Writes what `decode`, a function that is itself `#[inline(always)]`, makes of each number to `row`. Errs if one is NaN or
-/// infinite.
+/// beyond [`HEAD_VALUE_MAX`].
 #[inline(always)]
 pub(super) fn decode_row(
     head: Head,
@@ -161,7 +163,7 @@ pub(super) fn decode_row(
     finite(largest, head)
 }
 
-/// Errs if a value of this head is NaN, infinite, or beyond [`FINITE`].
+/// Errs if a value of this head is NaN or beyond [`HEAD_VALUE_MAX`].
 #[inline(always)]
 pub(super) fn check_finite(row: &[f32], head: Head) -> Result<(), Error> {
     let mut largest = 0;
@@ -178,11 +180,11 @@ fn magnitude(value: f32) -> i32 {
     (value.to_bits() & 0x7fff_ffff).cast_signed()
 }
 
-/// Differences of what is within it, too, are finite: upsampling takes them.
-const FINITE: f32 = 1e37;
+/// Heads hold numbers within +-1e37: differences of those are finite, and upsampling takes differences.
+pub const HEAD_VALUE_MAX: f32 = 1e37;
 
 fn finite(largest: i32, head: Head) -> Result<(), Error> {
-    if largest <= magnitude(FINITE) {
+    if largest <= magnitude(HEAD_VALUE_MAX) {
         Ok(())
     } else {
         Err(Error::HeadNotFinite(head))
