@@ -211,7 +211,7 @@ impl Estimator {
         self.network.times()
     }
 
-    /// What the last picture (before the first, a black one) says about the calibration. Makes
+    /// What the last picture (before the first, a made-up one) says about the calibration. Makes
     /// [`Self::maps`]. Allocates nothing.
     pub fn plausibility(&mut self) -> Result<Plausibility, Error> {
         self.maps()?;
@@ -226,7 +226,7 @@ impl Estimator {
         .map_err(|e| self.network.outputs().0.unfit(e))
     }
 
-    /// All maps of the last picture that ran (before the first, a black one). Most users want the depth alone, so ground
+    /// All maps of the last picture that ran (before the first, a made-up one). Most users want the depth alone, so ground
     /// and attention are made when asked for, by fusing once more. Allocates nothing where the engine runs the whole network.
     pub fn maps(&mut self) -> Result<Maps<'_>, Error> {
         if !self.all_maps_made {

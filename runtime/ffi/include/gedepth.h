@@ -374,7 +374,7 @@ const char *gedepth_version(void);
 int32_t gedepth_calibration_read(const char *path,
                                  struct gedepth_calibration *calibration);
 
-// Binds a model to a calibrated camera: plans the network, builds the ground table and runs a black picture, so that all
+// Binds a model to a calibrated camera: plans the network, builds the ground table and runs a made-up picture, so that all
 // memory of later runs is there. Takes some 0.1 to 1 s. `options` may be null: the usual. `*camera` is written on success
 // only. For another calibration open another camera, then close this one.
 int32_t gedepth_camera_open(const struct gedepth_model *model,
@@ -397,9 +397,10 @@ int32_t gedepth_camera_run(struct gedepth_camera *camera,
 // Percentiles of the camera's last runs. Allocates nothing.
 int32_t gedepth_camera_statistics(const struct gedepth_camera *camera, struct gedepth_statistics *statistics);
 
-// What the camera's last picture says about its calibration (before the first, a blank one). Allocates nothing; takes
+// What the camera's last picture says about its calibration (before the first, of a made-up one). Allocates nothing; takes
 // less than 1 ms for a megapixel of maps, and a fusion where the picture's maps were not asked for.
-int32_t gedepth_camera_plausibility(const struct gedepth_camera *camera, struct gedepth_plausibility *plausibility);
+int32_t gedepth_camera_plausibility(const struct gedepth_camera *camera,
+                                    struct gedepth_plausibility *plausibility);
 
 // Closes a camera and ends its threads; null is none. No other call may be using it.
 void gedepth_camera_close(struct gedepth_camera *camera);

@@ -423,7 +423,7 @@ fn needed(rows: u32, stride: usize, row: usize) -> Option<usize> {
     (rows as usize - 1).checked_mul(stride)?.checked_add(row)
 }
 
-/// Binds a model to a calibrated camera: plans the network, builds the ground table and runs a black picture, so that all
+/// Binds a model to a calibrated camera: plans the network, builds the ground table and runs a made-up picture, so that all
 /// memory of later runs is there. Takes some 0.1 to 1 s. `options` may be null: the usual. `*camera` is written on success
 /// only. For another calibration open another camera, then close this one.
 #[unsafe(no_mangle)]
@@ -502,7 +502,7 @@ pub unsafe extern "C" fn gedepth_camera_statistics(
     })
 }
 
-/// What the camera's last picture says about its calibration (before the first, a blank one). Allocates nothing; takes
+/// What the camera's last picture says about its calibration (before the first, of a made-up one). Allocates nothing; takes
 /// less than 1 ms for a megapixel of maps, and a fusion where the picture's maps were not asked for.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_camera_plausibility(

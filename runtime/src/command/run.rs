@@ -18,8 +18,8 @@ const ATTENTION: &str = "attention.png";
 /// Writes into DIR: depth.png (16 bits, metres x 256, 0 = none: KITTI's convention), depth_colours.png (with a scale
 /// bar), ground.png (depth of the ground as the network's mode sees it, in the same colours) and attention.png (white
 /// where the ground is trusted; not with a baseline model, which removes an older one). depth.png and attention.png have
-/// the picture's size, or with a model that crops, the crop's; the scale bar makes the other two higher. Nothing is
-/// written unless everything can be.
+/// the picture's size; where the model crops, or --network-size has other proportions, the crop's; the scale bar makes the
+/// other two higher. Nothing is written unless everything can be.
 #[derive(Args)]
 #[command(after_help = super::super::EXIT_CODES)]
 pub(crate) struct Arguments {
