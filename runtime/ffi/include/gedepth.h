@@ -375,8 +375,9 @@ int32_t gedepth_calibration_read(const char *path,
                                  struct gedepth_calibration *calibration);
 
 // Binds a model to a calibrated camera: plans the network, builds the ground table and runs a made-up picture, so that all
-// memory of later runs is there. Takes some 0.1 to 1 s. `options` may be null: the usual. `*camera` is written on success
-// only. For another calibration open another camera, then close this one.
+// memory of later runs is there. Takes some 50 ms with the shipped models, up to 1 s where tract runs the model. `options`
+// may be null: the usual. `*camera` is written on success only. For another calibration open another camera, then close
+// this one.
 int32_t gedepth_camera_open(const struct gedepth_model *model,
                             const struct gedepth_calibration *calibration,
                             const struct gedepth_options *options,

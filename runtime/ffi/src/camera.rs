@@ -424,8 +424,9 @@ fn needed(rows: u32, stride: usize, row: usize) -> Option<usize> {
 }
 
 /// Binds a model to a calibrated camera: plans the network, builds the ground table and runs a made-up picture, so that all
-/// memory of later runs is there. Takes some 0.1 to 1 s. `options` may be null: the usual. `*camera` is written on success
-/// only. For another calibration open another camera, then close this one.
+/// memory of later runs is there. Takes some 50 ms with the shipped models, up to 1 s where tract runs the model. `options`
+/// may be null: the usual. `*camera` is written on success only. For another calibration open another camera, then close
+/// this one.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_camera_open(
     model: *const gedepth_model,

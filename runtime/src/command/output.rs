@@ -46,27 +46,24 @@ pub(crate) fn check<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<
 pub(crate) fn write_together(files: &[(PathBuf, Vec<u8>)]) -> Result<(), Error> {
     let mut complete = Vec::new();
     for (path, bytes) in files {
-        let place = Place::of(path)?;
-        let beside = match &place {
+        let beside = match Place::of(path)? {
             Place::Stream => None,
-            Place::File { dir, .. } => {
+            Place::File { target, dir } => {
                 let beside = || {
-                    let mut file = beside_the_output(dir)?;
+                    let mut file = beside_the_output(&dir)?;
                     file.write_all(bytes)?;
                     file.as_file().sync_all()?;
                     Ok(file)
                 };
-                Some(beside().map_err(failed(path.clone()))?)
+                Some((beside().map_err(failed(path.clone()))?, target))
             }
         };
-        complete.push((path, bytes, place, beside));
+        complete.push((path, bytes, beside));
     }
-    for (path, bytes, place, beside) in complete {
-        let written = match (place, beside) {
-            (Place::File { target, .. }, Some(file)) => {
-                file.persist(target).map(drop).map_err(|e| e.error)
-            }
-            _ => OpenOptions::new()
+    for (path, bytes, beside) in complete {
+        let written = match beside {
+            Some((file, target)) => file.persist(target).map(drop).map_err(|e| e.error),
+            None => OpenOptions::new()
                 .write(true)
                 .open(path)
                 .and_then(|mut stream| stream.write_all(bytes)),
