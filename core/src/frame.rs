@@ -67,8 +67,8 @@ impl<F: Frame> Direction<F> {
     /// The direction of the vector `(x, y, z)`, of any length.
     ///
     /// # Errors
-    /// [`Error::DirectionWithoutLength`] if the vector is zero, not finite, or so long or short that the square of
-    /// its length is (beyond 1e154 or below 1.5e-154).
+    /// [`Error::DirectionWithoutLength`] if the vector is zero, not finite, or longer than 1e154 or
+    /// shorter than 1.5e-154.
     pub fn new(x: f64, y: f64, z: f64) -> Result<Self, Error> {
         Self::from_vector(DVec3::new(x, y, z))
     }

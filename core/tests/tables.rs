@@ -135,7 +135,7 @@ proptest! {
             let (u, v) = (index % 64, index / 64);
             let p = camera.forward_ray(Pixel::new(u as f64, v as f64)).unwrap();
             let size = (down.x * p.x).abs() + (down.y * p.y).abs() + down.z.abs();
-            let bound = size / ground.height() * 2_f64.powi(-21);
+            let bound = size / ground.height() * 5.01 * 2_f64.powi(-24);
             prop_assert!((f64::from(*value) - truth).abs() <= bound, "{} instead of {}", value, truth);
         }
         prop_assert_eq!(view.camera_height(), ground.height() as f32);

@@ -9,8 +9,8 @@ use crate::{Error, Ground};
 /// The ray of every pixel as its point (x, y) on the plane z = 1, in memory that it borrows: first all x, row-major, then
 /// all y. A pixel without a forward ray holds NaN.
 ///
-/// Tables made from kept rays are off by at most `2^-21 (|a x| + |b y| + |c|) / H` in 1/m, (a, b, c) being the direction
-/// down. For an upright camera that is below 1e-5 of the depth up to 200 m if it is 1.5 m high or more and pitched by 9
+/// Tables made from kept rays are off by at most `5.01 2^-24 (|a x| + |b y| + |c|) / H` in 1/m (five roundings), (a, b, c)
+/// being the direction down. For an upright camera that is below 1e-5 of the depth up to 200 m if it is 1.5 m high or more and pitched by 7
 /// degrees or less; on the KITTI, nuScenes and DDAD cameras it is 5e-7. Build the table from the camera where the bound is
 /// too large.
 #[derive(Debug, Clone, Copy)]
