@@ -40,6 +40,9 @@ use gedepth_core::Angle;
 use gedepth_core::fusion::{AttentionUnit, DecodeAt, DepthRange, Upsampling};
 use gedepth_core::slope::{SlopeClasses, SlopeSign};
 
+/// Longest side that a network is run at, pixels.
+pub(crate) const MAX_SIDE: u32 = 16384;
+
 const PREFIX: &str = "gedepth.";
 /// The one version of the contract that this crate reads.
 const VERSION: &str = "1";
@@ -344,7 +347,7 @@ impl Contract {
             |n| {
                 n.len() == 2
                     && n.iter()
-                        .all(|&s| s > 0 && s <= 16384 && s % size_multiple == 0)
+                        .all(|&s| (1..=MAX_SIDE).contains(&s) && s % size_multiple == 0)
             },
         )?;
         let fit = match entries.0.contains_key("fit") {

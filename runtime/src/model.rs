@@ -13,7 +13,7 @@ use tract_onnx::pb::{GraphProto, ModelProto, StringStringEntryProto};
 use tract_onnx::prelude::*;
 
 use crate::Error;
-use crate::contract::Contract;
+use crate::contract::{Contract, MAX_SIDE};
 use crate::engine::{self, Engine, Entrance, LayerTime, Place, Results, Threads, Whole};
 use crate::inspection::{InspectedTensor, Inspection, PlanKind, Weights};
 
@@ -24,9 +24,6 @@ static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onn
 const MAX_FILE_BYTES: u64 = 1 << 31;
 /// Greatest number of pixels that a network is run at.
 pub(crate) const MAX_PIXELS: u64 = 1 << 24;
-
-/// Longest side of what a network is run at.
-const MAX_SIDE: u32 = 16384;
 /// Attributes of nodes that are numbers of pixels.
 const WINDOWS: [&str; 6] = [
     "dilations",

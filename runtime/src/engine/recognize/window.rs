@@ -6,7 +6,7 @@ use super::Found;
 use super::graph::{Reader, attribute, input, integer, sizes, text};
 use crate::engine::layer::{Coordinates, Fill, Nearest, Pad, Padding, Resize, Target, Window};
 
-/// That a window reaches over, or that are added on one side.
+/// That a window reaches over, that are added on one side, or that a side is resized to.
 const MOST_PIXELS: usize = 16384;
 
 /// The window of a pool.
@@ -146,7 +146,11 @@ impl Reader<'_> {
         let target = match (input(node, 2), input(node, 3)) {
             (_, Some(sizes)) => {
                 match self.integers(sizes).ok_or("its sizes are not constant")?.0[..] {
-                    [1, _, height @ 1..=16384, width @ 1..=16384] => {
+                    [1, _, height, width]
+                        if [height, width]
+                            .iter()
+                            .all(|side| (1..=MOST_PIXELS as i64).contains(side)) =>
+                    {
                         Target::Sizes([height as usize, width as usize])
                     }
                     _ => return Err("its sizes are not [1, channels, height, width]".into()),
