@@ -194,6 +194,15 @@ fn clouds_that_are_refused_and_odd_points() {
         (m.precision, m.recall),
         (1.0 / 2_000_001.0, 1.0 / 2_000_001.0)
     );
+    // The same of a threshold by which no point's cube could be counted.
+    let row: Vec<Point<CameraFrame>> = (0..300_000)
+        .map(|i| Point::new(f64::from(i) * 0.01, 2.0, 9.0))
+        .collect();
+    for threshold in [1e-18, 1e-150, f64::MIN_POSITIVE] {
+        let mut matches = CloudMatches::new();
+        matches.add(&row, &row, threshold, &mut scratch).unwrap();
+        assert_eq!(matches.metrics().unwrap().f_score, 1.0);
+    }
 }
 
 #[test]

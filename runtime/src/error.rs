@@ -51,6 +51,12 @@ pub enum Error {
         /// Which sizes it takes.
         reason: String,
     },
+    /// The engine that was asked for cannot be had here.
+    #[error("the engine cannot be had: {reason}")]
+    Engine {
+        /// Why not.
+        reason: String,
+    },
     /// The threads cannot be kept on these cores.
     #[error("cannot keep the threads on the cores {cores:?}: {reason}")]
     Cores {
@@ -148,6 +154,7 @@ impl Error {
             Error::PictureUnfit { .. } => 804,
             Error::NetworkSize { .. } => 805,
             Error::Cores { .. } => 806,
+            Error::Engine { .. } => 807,
             Error::CalibrationRead { .. } => 821,
             Error::CalibrationFormat { .. } => 822,
             Error::Calibration { reason, .. } => reason.code(),
@@ -164,7 +171,7 @@ impl Error {
     /// call.)
     pub fn exit_code(&self) -> u8 {
         match self {
-            Error::NetworkSize { .. } | Error::Cores { .. } => 2,
+            Error::NetworkSize { .. } | Error::Cores { .. } | Error::Engine { .. } => 2,
             #[cfg(feature = "files")]
             Error::PictureDecode { .. } => 3,
             Error::PictureRead { .. } | Error::PictureSize { .. } | Error::PictureUnfit { .. } => 3,
@@ -235,6 +242,7 @@ mod tests {
                     reason: reason(),
                 },
             ),
+            (807, Error::Engine { reason: reason() }),
             (
                 821,
                 Error::CalibrationRead {

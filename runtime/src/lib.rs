@@ -47,6 +47,9 @@ mod preprocess;
 mod resample;
 mod vectors;
 
+/// The geometry and the maths: what [`Calibration`], [`Camera`] and errors are made of.
+pub use gedepth_core;
+
 pub use calibration::{Calibration, Camera, Distortion, Numbers, json, kitti};
 pub use engine::{Engine, InspectedNode, Kernel, LayerTime, Place};
 pub use error::Error;

@@ -2,6 +2,8 @@
 
 use std::collections::HashSet;
 use std::fmt;
+use std::fs::File;
+use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -51,12 +53,18 @@ impl Model {
     /// Reads a model from an ONNX file.
     pub fn from_file(path: &Path) -> Result<Self, Error> {
         let read = || {
-            if std::fs::metadata(path)?.len() > MAX_FILE_BYTES {
-                return Err(std::io::Error::other(
-                    "larger than 2 GiB, the limit of an ONNX file",
-                ));
+            let mut bytes = Vec::new();
+            let file = File::open(path)?;
+            // Pipes and devices do not say how long they are.
+            if file.metadata()?.len() <= MAX_FILE_BYTES {
+                file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes)?;
+                if bytes.len() as u64 <= MAX_FILE_BYTES {
+                    return Ok(bytes);
+                }
             }
-            std::fs::read(path)
+            Err(std::io::Error::other(
+                "larger than 2 GiB, the limit of an ONNX file",
+            ))
         };
         let bytes = read().map_err(|source| Error::ModelRead {
             path: path.to_owned(),
@@ -357,6 +365,7 @@ pub(crate) struct Network {
 impl Network {
     /// Plans the model for an input of `size`; the outputs come in the order of `outputs`.
     pub(crate) fn new(model: &Model, size: Size, outputs: &[&str]) -> Result<Self, Error> {
+        model.engine.check()?;
         let unfit = |reason: String| Error::Model {
             path: model.path.clone(),
             reason,

@@ -78,6 +78,9 @@ impl Placement {
             actual: picture,
             reason,
         };
+        if picture.0 == 0 || picture.1 == 0 {
+            return Err(unfit("it has no pixels".to_owned()));
+        }
         let multiple = contract.size_multiple;
         let proportional_height = |width: u32| {
             let exact = f64::from(picture.1) * f64::from(width) / f64::from(picture.0);
@@ -528,12 +531,14 @@ mod tests {
 
     /// A column of pixels at the nominal width would be more than a network is run at.
     #[test]
-    fn pictures_far_too_tall_are_refused() {
-        let placement = place(&contract(&[]), (2, 4000), None, None);
-        assert!(
-            matches!(placement, Err(Error::PictureUnfit { .. })),
-            "{placement:?}"
-        );
+    fn pictures_far_too_tall_or_without_pixels_are_refused() {
+        for size in [(2, 4000), (0, 0), (5, 0), (0, 5)] {
+            let placement = place(&contract(&[]), size, None, None);
+            assert!(
+                matches!(placement, Err(Error::PictureUnfit { .. })),
+                "{placement:?}"
+            );
+        }
     }
 
     #[test]

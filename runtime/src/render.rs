@@ -84,7 +84,7 @@ fn scale_bar(picture: &mut RgbImage, top: u32) {
     }
     let mut free_from = 0;
     for metres in TICKS_M {
-        let u = (position(metres) * span).round() as u32;
+        let u = (position(metres) * width.saturating_sub(1) as f32).round() as u32;
         for v in top + 12..top + 20 {
             picture.put_pixel(u, v, Rgb([0; 3]));
         }
@@ -113,6 +113,25 @@ fn write_text(picture: &mut RgbImage, left: u32, top: u32, text: &str) {
                     *pixel = Rgb([0; 3]);
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// No tick of the scale is beside the picture.
+    #[test]
+    fn every_width_has_a_scale() {
+        for width in (1..300).chain([4000]) {
+            let values = vec![10.0; 3 * width as usize];
+            let picture = depth_colours(Map {
+                width,
+                values: &values,
+            });
+            assert_eq!(picture.width(), width);
+            assert_eq!(picture.get_pixel(width - 1, 2), &colour(10.0));
         }
     }
 }

@@ -204,6 +204,46 @@ fn a_picture_of_another_size_is_refused() {
     );
 }
 
+/// The decoder would make up what is missing of a file that was cut off, and depth of it. Thumbnails have ends of their own.
+#[test]
+fn jpegs_that_end_early_are_refused() {
+    let folder = Folder::new();
+    let calibration = scene().join("calibration.json");
+    let mut whole = Vec::new();
+    let image = image::open(scene().join("image.png")).unwrap();
+    image
+        .write_to(
+            &mut std::io::Cursor::new(&mut whole),
+            image::ImageFormat::Jpeg,
+        )
+        .unwrap();
+    // The start, then an application's segment with an end of image in it.
+    let thumbnail = [
+        &whole[..2],
+        &[0xff, 0xe1, 0, 8, 0xff, 0xd8, 1, 2, 0xff, 0xd9],
+    ]
+    .concat();
+    let whole = [&thumbnail, &whole[2..]].concat();
+    let length = whole.len();
+    for kept in [600, 2000, length / 2, length - 10, length - 2, length - 1] {
+        let picture = folder.file("cut.jpg", &whole[..kept]);
+        let output = run(&picture, &calibration, &[], &folder.out());
+        assert_refused(
+            &output,
+            PICTURE_ERROR,
+            &["cut.jpg", "ends before"],
+            &folder.out(),
+        );
+    }
+    // Cameras pad their files.
+    let padded = [&whole[..], &[0; 100]].concat();
+    for (bytes, out) in [(&whole, "whole"), (&padded, "padded")] {
+        let picture = folder.file("whole.jpg", bytes);
+        let output = run(&picture, &calibration, &[], &folder.dir.path().join(out));
+        assert!(output.status.success());
+    }
+}
+
 /// Every number of the calibration, each replaced by what cannot be right.
 #[test]
 fn calibrations_that_are_none_are_refused() {
@@ -331,6 +371,14 @@ fn kittis_calibrations_are_read_or_named() {
         (
             OBJECT.replace("R0_rect", "R1_rect"),
             vec!["object.txt", "`R0_rect` is missing"],
+        ),
+        (
+            OBJECT.lines().nth(1).unwrap().to_owned(),
+            vec!["object.txt", "`Tr` (odometry)", "`R_rect`"],
+        ),
+        (
+            OBJECT.replace("P2: 700", "P2: NaN"),
+            vec!["object.txt", "singular or not finite"],
         ),
     ]
     .into_iter()
@@ -514,6 +562,74 @@ fn outputs_of_an_earlier_run_do_not_stay_among_those_of_another() {
     assert_eq!(output.status.code(), Some(WRITE_ERROR));
     assert!(String::from_utf8_lossy(&output.stderr).contains("ground.png"));
     assert_eq!(fs::read(folder.out().join("depth.png")).unwrap(), before);
+}
+
+/// The picture, its calibration, what a data set has measured, and outputs that links lead to one place.
+#[cfg(unix)]
+#[test]
+fn nothing_is_written_over_inputs_measured_depth_or_another_output() {
+    let refused = |folder: &Folder, name: &str, kept: &[(&str, &[u8])], words: &[&str]| {
+        let out = folder.out();
+        let output = run(&out.join(name), &out.join("calibration.json"), &[], &out);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(WRITE_ERROR), "{message}");
+        for word in words {
+            assert!(message.contains(word), "`{word}` is not in: {message}");
+        }
+        for (name, bytes) in kept {
+            assert_eq!(&fs::read(out.join(name)).unwrap(), bytes, "{name}");
+        }
+        assert_eq!(fs::read_dir(&out).unwrap().count(), kept.len() + 1);
+    };
+    let picture = fs::read(scene().join("image.png")).unwrap();
+    let frame = |name: &str| {
+        let folder = Folder::new();
+        fs::create_dir(folder.out()).unwrap();
+        fs::write(folder.out().join(name), &picture).unwrap();
+        fs::copy(
+            scene().join("calibration.json"),
+            folder.out().join("calibration.json"),
+        )
+        .unwrap();
+        folder
+    };
+
+    let over_itself = frame("depth_colours.png");
+    let kept: [(&str, &[u8]); 1] = [("depth_colours.png", &picture)];
+    refused(
+        &over_itself,
+        "depth_colours.png",
+        &kept,
+        &["depth_colours.png", "input"],
+    );
+
+    let measured = frame("image.png");
+    fs::write(measured.out().join("ground.png"), b"measured").unwrap();
+    let kept: [(&str, &[u8]); 2] = [("image.png", &picture), ("ground.png", b"measured")];
+    refused(
+        &measured,
+        "image.png",
+        &kept,
+        &["ground.png", "another folder"],
+    );
+
+    let linked = frame("image.png");
+    for name in ["depth.png", "depth_colours.png"] {
+        std::os::unix::fs::symlink("both.png", linked.out().join(name)).unwrap();
+    }
+    fs::write(linked.out().join("both.png"), b"").unwrap();
+    let kept: [(&str, &[u8]); 4] = [
+        ("image.png", &picture),
+        ("both.png", b""),
+        ("depth.png", b""),
+        ("depth_colours.png", b""),
+    ];
+    refused(
+        &linked,
+        "image.png",
+        &kept,
+        &["depth_colours.png", "another output"],
+    );
 }
 
 /// A folder in the way of what is only to be removed.

@@ -49,3 +49,27 @@ fn every_kernel_gives_the_same_depth() {
         println!("depth of {name}: {first:016x}");
     }
 }
+
+/// And none where another would have run the network in its place, in other roundings.
+#[test]
+fn an_engine_that_cannot_be_had_is_refused() {
+    let scene = shipped_scenes().remove(0);
+    let image = picture::read(&gedepth_tests::picture(&scene)).expect("a picture");
+    let calibration = Calibration::read(&scene.join("calibration.json")).expect("one");
+    let absent = Kernel::ALL.into_iter().filter(|k| !k.is_supported());
+    let engines = absent
+        .map(|kernel| (kernel, 1))
+        .chain([65, usize::MAX].map(|threads| (Kernel::Portable, threads)));
+    for (kernel, threads) in engines {
+        let model = Model::embedded()
+            .expect("the embedded model")
+            .with_engine(Engine::Quantized { kernel, threads });
+        let size = image.dimensions();
+        let refused =
+            Estimator::new(&model, &calibration, size, None, OutputSize::Picture).map(|_| ());
+        assert!(
+            matches!(refused, Err(gedepth::Error::Engine { .. })),
+            "{kernel:?}, {threads} threads: {refused:?}"
+        );
+    }
+}

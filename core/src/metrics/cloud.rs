@@ -117,8 +117,8 @@ impl CloudMatches {
 
 /// How many of `points` have a point of `others` within `threshold`.
 ///
-/// `others` are sorted into buckets by the cube of side `threshold` that they lie in; whatever is near a point then lies in
-/// its cube or one of the 26 around it.
+/// `others` are sorted into buckets by the cube of side `threshold` (at least a micrometre) that they lie in; whatever is near
+/// a point then lies in its cube or one of the 26 around it.
 fn matches<F: Frame>(
     points: &[Point<F>],
     others: &[Point<F>],
@@ -129,9 +129,11 @@ fn matches<F: Frame>(
     let Some((ends, sorted)) = scratch.split_at_mut_checked(buckets + 1) else {
         return 0;
     };
-    // Casts saturate: points at absurd distances share a cube, and are still compared exactly.
+    // Casts saturate: points at absurd distances share a cube, and are still compared exactly. Cubes much smaller than any
+    // point's rounding would have all points do that.
+    let side = threshold.max(1e-6);
     let cube = |point: &Point<F>| {
-        let [x, y, z] = (point.vector() / threshold).floor().to_array();
+        let [x, y, z] = (point.vector() / side).floor().to_array();
         [x as i64, y as i64, z as i64]
     };
     let bucket = |cube: [i64; 3]| hash(cube) as usize % buckets.max(1);

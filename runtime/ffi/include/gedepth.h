@@ -276,7 +276,7 @@ typedef struct gedepth_picture {
   uint32_t height;
 } gedepth_picture;
 
-// A map to be written, row by row from the top left; with values null, none.
+// A map to be written, row by row from the top left; with values null and values_len 0, none.
 typedef struct gedepth_map {
   // The values.
   float *values;

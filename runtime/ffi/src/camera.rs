@@ -89,7 +89,7 @@ pub struct gedepth_picture {
     pub height: u32,
 }
 
-/// A map to be written, row by row from the top left; with values null, none.
+/// A map to be written, row by row from the top left; with values null and values_len 0, none.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct gedepth_map {
@@ -395,7 +395,8 @@ impl gedepth_camera {
 
     /// Where a map goes and its stride; `None` if it is not asked for.
     fn output(&self, map: &gedepth_map, name: &str) -> Result<Option<(Array<f32>, usize)>> {
-        if map.values.is_null() {
+        // A length without values is memory that could not be had.
+        if map.values.is_null() && map.values_len == 0 {
             return Ok(None);
         }
         let values = Array::new(map.values, map.values_len)?;

@@ -30,7 +30,7 @@ pub const GEDEPTH_KERNEL_NEON_DOTPROD: u32 = 7;
 pub const GEDEPTH_KERNEL_NEON_I8MM: u32 = 8;
 
 /// Most threads that a camera's network runs on.
-const MAX_THREADS: u32 = 64;
+const MAX_THREADS: u32 = Engine::MAX_THREADS as u32;
 
 /// A network and what it says about itself. Made by gedepth_model_open_*, never changed afterwards: any number of threads may
 /// open cameras with it at the same time. Cameras keep what they need of it; it may be closed before them.

@@ -431,6 +431,16 @@ fn what_cannot_be_done_is_refused_by_number_and_nothing_is_written() {
     let outputs = [
         (
             maps(
+                depth_map,
+                gedepth_map {
+                    values_len: PIXELS,
+                    ..NONE
+                },
+            ),
+            GEDEPTH_NULL_POINTER,
+        ),
+        (
+            maps(
                 gedepth_map {
                     values_len: PIXELS - 1,
                     ..depth_map

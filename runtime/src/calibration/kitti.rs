@@ -78,8 +78,14 @@ pub(super) fn single(file: &Entries) -> Result<Numbers, String> {
         (DMat3::IDENTITY, "Tr")
     } else if file.has("Tr_velo_cam") {
         (file.matrix("R_rect")?, "Tr_velo_cam")
-    } else {
+    } else if file.has("R0_rect") || file.has("Tr_velo_to_cam") {
         (file.matrix("R0_rect")?, "Tr_velo_to_cam")
+    } else {
+        return Err(
+            "the LiDAR's pose is missing, from which the ground is told: `Tr` (odometry), `R0_rect` and `Tr_velo_to_cam` \
+             (object), or `R_rect` and `Tr_velo_cam` (tracking)"
+                .to_owned(),
+        );
     };
     numbers(None, file.affine("P2")?, rotation, file.affine(lidar)?)
 }
@@ -111,8 +117,9 @@ fn numbers(
     (r, t): (DMat3, DVec3),
 ) -> Result<Numbers, String> {
     // A singular K leaves a non-finite t behind, which the check of the extrinsics would report as their fault.
-    if k.determinant() == 0.0 {
-        return Err("the camera matrix is singular".to_owned());
+    let determinant = k.determinant();
+    if determinant == 0.0 || !determinant.is_finite() {
+        return Err("the camera matrix is singular or not finite".to_owned());
     }
     let rotation = rect * r;
     let translation = rect * t + k.inverse() * kt;

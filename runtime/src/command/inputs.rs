@@ -24,7 +24,7 @@ pub(crate) struct Inputs {
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     network_size: Option<(u32, u32)>,
     /// Number of threads that run the quantized layers [default: 2, or 1 on one core]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=Engine::MAX_THREADS as i64))]
     threads: Option<u8>,
     /// Keep each of these threads on one core: numbers of cores, separated by commas
     #[arg(long, value_name = "CORES", value_delimiter = ',')]
@@ -46,6 +46,13 @@ pub(crate) struct Opened {
 }
 
 impl Inputs {
+    /// The files that are read.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &PathBuf> {
+        [&self.picture, &self.calibration]
+            .into_iter()
+            .chain(&self.model)
+    }
+
     pub(crate) fn open(&self, output: OutputSize) -> Result<Opened, Error> {
         let clock = Instant::now();
         let image = picture::read(&self.picture)?;

@@ -22,17 +22,28 @@ pub(crate) fn remove(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// Whether files can be written there, each its own, as far as can be told without writing them: before work that takes long.
-pub(crate) fn check<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), Error> {
+/// Whether files can be written there, each its own and none of them an input, as far as can be told without writing them: before
+/// work that takes long.
+pub(crate) fn check<'a>(
+    paths: impl IntoIterator<Item = &'a PathBuf>,
+    inputs: impl IntoIterator<Item = &'a PathBuf>,
+) -> Result<(), Error> {
+    let inputs: Vec<_> = inputs
+        .into_iter()
+        .filter_map(|path| std::fs::canonicalize(path).ok())
+        .collect();
     let mut targets = Vec::new();
     for path in paths {
         if let Place::File { target, dir } = Place::of(path)? {
+            let refused = |reason: &str| Error::Write {
+                path: path.clone(),
+                reason: reason.to_owned(),
+            };
             if targets.contains(&target) {
-                let reason = "another output goes there, too".to_owned();
-                return Err(Error::Write {
-                    path: path.clone(),
-                    reason,
-                });
+                return Err(refused("another output goes there, too"));
+            }
+            if inputs.contains(&target) {
+                return Err(refused("that is an input; choose another place"));
             }
             beside_the_output(&dir).map_err(failed(path.clone()))?;
             targets.push(target);
@@ -42,7 +53,7 @@ pub(crate) fn check<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<
 }
 
 /// Writes all files or none: each beside its place first, all renamed once all are complete. Folders are made if they are
-/// not there; what a link leads to is replaced, not the link; devices and pipes are written to.
+/// not there; what a link leads to is replaced, not the link (but for one that leads nowhere); devices and pipes are written to.
 pub(crate) fn write_together(files: &[(PathBuf, Vec<u8>)]) -> Result<(), Error> {
     let mut complete = Vec::new();
     for (path, bytes) in files {

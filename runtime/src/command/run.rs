@@ -1,7 +1,7 @@
 //! `gedepth run`: one picture and its calibration in, depth out.
 
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use gedepth::{Error, Estimate, Maps, OutputSize, Picture, StageTimes, render};
@@ -10,16 +10,23 @@ use image::{DynamicImage, ImageFormat};
 use super::inputs::{Inputs, Opened};
 use super::output::{check, remove, write_together};
 
-/// What a model without attention does not write.
-const ATTENTION: &str = "attention.png";
+/// The last is what a model without attention does not write.
+const OUTPUTS: [&str; 4] = [
+    "depth.png",
+    "depth_colours.png",
+    "ground.png",
+    "attention.png",
+];
 
 /// Estimates the depth of one picture.
+///
+/// Grey, 16-bit and CMYK pictures are converted to RGB, transparency and the orientation that a file may ask for are left out of account.
 ///
 /// Writes into DIR: depth.png (16 bits, metres x 256, 0 = none: KITTI's convention), depth_colours.png (with a scale
 /// bar), ground.png (depth of the ground as the network's mode sees it, in the same colours) and attention.png (white
 /// where the ground is trusted; not with a baseline model, which removes an older one). depth.png and attention.png have
 /// the picture's size; where the model crops, or --network-size has other proportions, the crop's; the scale bar makes the
-/// other two higher. Nothing is written unless everything can be.
+/// other two higher. Nothing is written unless everything can be, over no input, and over no depth.png that looks measured.
 #[derive(Args)]
 #[command(after_help = super::super::EXIT_CODES)]
 pub(crate) struct Arguments {
@@ -38,6 +45,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         decode,
         prepare,
     } = arguments.inputs.open(OutputSize::Picture)?;
+    let outputs = OUTPUTS.map(|name| arguments.out.join(name));
+    check(&outputs, arguments.inputs.files())?;
+    refuse_measured(&outputs)?;
     let picture = Picture::from(&image);
     let Estimate {
         size,
@@ -46,11 +56,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         ..
     } = estimator.run(picture)?;
     let maps = estimator.maps()?;
-    let attention = arguments.out.join(ATTENTION);
-    check([&attention])?;
-    write_together(&rendered(maps, size.0, &arguments.out)?)?;
+    write_together(&rendered(maps, size.0, &outputs)?)?;
     if maps.attention.is_none() {
-        remove(&attention)?;
+        let [.., attention] = &outputs;
+        remove(attention)?;
     }
 
     let contract = model.contract();
@@ -109,31 +118,44 @@ fn range(metres: &[f32]) -> (f32, f32) {
     )
 }
 
-/// The outputs as encoded files: path and bytes.
-fn rendered(maps: Maps<'_>, width: u32, dir: &Path) -> Result<Vec<(PathBuf, Vec<u8>)>, Error> {
-    let map = |values| render::Map { width, values };
-    let mut pictures: Vec<(&'static str, DynamicImage)> = vec![
-        ("depth.png", render::depth_16bit(map(maps.depth)).into()),
-        (
-            "depth_colours.png",
-            render::depth_colours(map(maps.depth)).into(),
-        ),
-        ("ground.png", render::depth_colours(map(maps.ground)).into()),
-    ];
-    if let Some(attention) = maps.attention {
-        pictures.push((ATTENTION, render::attention(map(attention)).into()));
+/// A data set's frame has a depth.png and a ground.png, measured, and not by this program, which leaves depth_colours.png beside them.
+fn refuse_measured([depth, colours, ground, _]: &[PathBuf; 4]) -> Result<(), Error> {
+    match [depth, ground].into_iter().find(|path| path.is_file()) {
+        Some(path) if !colours.exists() => Err(Error::Write {
+            path: path.clone(),
+            reason: "it is there, and no depth_colours.png of an earlier run beside it; choose another folder, or remove it if it \
+                     is not measured"
+                .to_owned(),
+        }),
+        _ => Ok(()),
     }
-    pictures
-        .into_iter()
-        .map(|(name, picture)| {
+}
+
+/// The outputs as encoded files: path and bytes.
+fn rendered(
+    maps: Maps<'_>,
+    width: u32,
+    paths: &[PathBuf; 4],
+) -> Result<Vec<(PathBuf, Vec<u8>)>, Error> {
+    let map = |values| render::Map { width, values };
+    let pictures: [Option<DynamicImage>; 4] = [
+        Some(render::depth_16bit(map(maps.depth)).into()),
+        Some(render::depth_colours(map(maps.depth)).into()),
+        Some(render::depth_colours(map(maps.ground)).into()),
+        maps.attention
+            .map(|attention| render::attention(map(attention)).into()),
+    ];
+    let made = pictures.into_iter().zip(paths);
+    made.filter_map(|(picture, path)| picture.map(|picture| (picture, path)))
+        .map(|(picture, path)| {
             let mut bytes = Cursor::new(Vec::new());
             picture
                 .write_to(&mut bytes, ImageFormat::Png)
                 .map_err(|e| Error::Write {
-                    path: dir.join(name),
+                    path: path.clone(),
                     reason: e.to_string(),
                 })?;
-            Ok((dir.join(name), bytes.into_inner()))
+            Ok((path.clone(), bytes.into_inner()))
         })
         .collect()
 }

@@ -128,14 +128,15 @@ pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
         survey: Survey { layers: found, .. },
         levels,
     } = divide(model)?;
-    let islands: Vec<NodeProto> = (0..=levels.iter().copied().max()?)
-        .filter(|level| levels.contains(level))
-        .map(|level| island_node(&graph, &found, &levels, level))
-        .collect();
     // What else they stood for goes with the sweep, unless somebody else reads it too.
     let replaced: HashSet<usize> = found
         .iter()
         .filter_map(|f| f.nodes.last().copied())
+        .collect();
+    let outside = outside(&graph, &found, &replaced);
+    let islands: Vec<NodeProto> = (0..=levels.iter().copied().max()?)
+        .filter(|level| levels.contains(level))
+        .map(|level| island_node(&graph, &found, &levels, level, &outside))
         .collect();
     let mut index = 0;
     graph.node.retain(|_| {
@@ -148,6 +149,27 @@ pub(crate) fn replace_islands(model: &ModelProto) -> Option<ModelProto> {
         graph: Some(graph),
         ..model.clone()
     })
+}
+
+/// The nodes that stay with tract; some of a layer's own may, too, where what they make is read outside.
+fn outside(graph: &GraphProto, found: &[Recognized], replaced: &HashSet<usize>) -> HashSet<usize> {
+    let reader = Reader::new(graph);
+    let floats = found.iter().flat_map(Recognized::inputs);
+    let mut open: Vec<&str> = floats
+        .filter(|input| input.quantization.is_none())
+        .map(|input| input.name.as_str())
+        .chain(graph.output.iter().map(|output| output.name.as_str()))
+        .collect();
+    let mut outside = HashSet::new();
+    while let Some(name) = open.pop() {
+        if let Some((index, node)) = reader.maker(name)
+            && !replaced.contains(&index)
+            && outside.insert(index)
+        {
+            open.extend(node.input.iter().map(String::as_str));
+        }
+    }
+    outside
 }
 
 /// How many detours through tract lie before each layer.
@@ -197,6 +219,7 @@ fn island_node(
     found: &[Recognized],
     levels: &[usize],
     level: usize,
+    outside: &HashSet<usize>,
 ) -> NodeProto {
     let mut nodes = HashSet::new();
     let (mut inputs, mut outputs): (Vec<String>, Vec<String>) = Default::default();
@@ -237,7 +260,7 @@ fn island_node(
         let name = &member.layer.output;
         if let Form::Floats = member.layer.form {
             // Read by layers of this island alone, it stays inside.
-            let inside = |index: &usize| member_nodes.contains(index);
+            let inside = |index: &usize| member_nodes.contains(index) && !outside.contains(index);
             let readers = reader.readers(name);
             if readers.is_empty() || reader.is_output(name) || !readers.iter().all(inside) {
                 outputs.push(name.clone());

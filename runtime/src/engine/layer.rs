@@ -485,11 +485,14 @@ impl Resize {
                     weight: position - first as f32,
                 };
             }
+            // A tie, but for the rounding of scale and position, goes where ONNX Runtime has it go.
+            let tie = (position - position.floor() - 0.5).abs() <= 1e-6;
             let nearest = match self.nearest {
+                Nearest::RoundPreferFloor if tie => position.floor(),
+                Nearest::RoundPreferCeil if tie => position.ceil(),
                 Nearest::Floor => position.floor(),
                 Nearest::Ceil => position.ceil(),
-                Nearest::RoundPreferFloor => (position - 0.5).ceil(),
-                Nearest::RoundPreferCeil => (position + 0.5).floor(),
+                Nearest::RoundPreferFloor | Nearest::RoundPreferCeil => position.round(),
             };
             let first = (nearest.max(0.0) as usize).min(last);
             Between {

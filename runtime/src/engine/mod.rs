@@ -31,6 +31,8 @@ mod whole;
 
 use tract_onnx::pb::ModelProto;
 
+use crate::Error;
+
 pub use inspection::{InspectedNode, Place};
 pub use kernels::Kernel;
 pub(crate) use operator::register;
@@ -45,9 +47,9 @@ pub enum Engine {
     Tract,
     /// By this crate's kernels, on a fixed set of threads. The result does not depend on either.
     Quantized {
-        /// Instruction set.
+        /// Instruction set; one that [`Kernel::is_supported`] says yes to.
         kernel: Kernel,
-        /// Number of threads, the caller's included; 0 counts as 1.
+        /// Number of threads, the caller's included, at most [`Engine::MAX_THREADS`]; 0 counts as 1.
         threads: usize,
     },
 }
@@ -69,6 +71,24 @@ impl Default for Engine {
 }
 
 impl Engine {
+    /// Greatest number of threads.
+    pub const MAX_THREADS: usize = 64;
+
+    /// Whether it can be had here; tract would run the network in its place, and in other roundings.
+    pub(crate) fn check(self) -> Result<(), Error> {
+        let reason = match self {
+            Engine::Quantized { kernel, .. } if !kernel.is_supported() => {
+                format!("this processor does not have the instructions of {kernel:?}")
+            }
+            Engine::Quantized { threads, .. } if threads > Self::MAX_THREADS => format!(
+                "{threads} threads were asked for; at most {} are made",
+                Self::MAX_THREADS
+            ),
+            _ => return Ok(()),
+        };
+        Err(Error::Engine { reason })
+    }
+
     /// The model with what this engine runs taken out; `None` where that is nothing.
     pub(crate) fn split(self, model: &ModelProto) -> Option<ModelProto> {
         let Engine::Quantized { kernel, threads } = self else {

@@ -11,7 +11,7 @@ use tract_onnx::prelude::*;
 
 use super::island::ISLAND;
 use super::kernels::{Dense, Depthwise, Row, ToBytes};
-use super::layer::Quantization;
+use super::layer::{Coordinates, Nearest, Quantization, Resize, Target};
 use super::{Engine, Kernel, register, to_qdq};
 use crate::model::{Model, Network};
 
@@ -928,6 +928,120 @@ fn an_unknown_operator_parts_two_islands() {
         .filter(|(a, b)| (*a - *b).abs() < 1e-4)
         .count();
     assert_eq!(same, ours[0].len());
+}
+
+/// Each of these once made a graph that tract refused, so that tract ran all of it: a tensor within a layer that is an output, too; an island that
+/// does nothing but quantize for the next; a convolution that sees padding alone at its border.
+#[test]
+fn tensors_of_two_readers_and_wide_padding_cost_no_more_than_they_must() {
+    let shape = [2, 5, 7];
+    const STEPS: Steps = Steps {
+        scale: 0.02,
+        zero: 100,
+        signed: false,
+    };
+    let inside = |b: &mut Builder| {
+        let x = b.quantized("x", STEPS);
+        let within = b.node("HardSigmoid", &[&x], vec![]);
+        let y = b.quantized(&within, STEPS);
+        [y, within]
+    };
+    let quantizes = |b: &mut Builder| {
+        let x = b.quantized("x", STEPS);
+        let y = b.node("Floor", &[&x], vec![]);
+        let y = b.node("Elu", &[&y], vec![]);
+        let y = b.quantized(&y, STEPS);
+        let both = b.node("Concat", &[&y, &x], vec![int("axis", 1)]);
+        let both = b.quantized(&both, STEPS);
+        [both, y]
+    };
+    let pads = |b: &mut Builder| {
+        let x = b.quantized("x", STEPS);
+        let x = b.node("Sigmoid", &[&x], vec![]);
+        let x = b.quantized(&x, STEPS);
+        let weights = b.floats(&[2, 2, 1, 1], &[0.5, -0.25, 0.125, 0.5]);
+        let weights = b.quantized(&weights, STEPS);
+        let y = b.node(
+            "Conv",
+            &[&x, &weights],
+            vec![ints("kernel_shape", &[1, 1]), ints("pads", &[1, 1, 1, 1])],
+        );
+        let y = b.quantized(&y, STEPS);
+        let z = b.node("Sigmoid", &[&y], vec![]);
+        [b.quantized(&z, STEPS), x]
+    };
+    let graphs: [fn(&mut Builder) -> [String; 2]; 3] = [inside, quantizes, pads];
+    let mut numbers = Numbers(6);
+    let input = on_grid(&mut numbers, STEPS, shape.iter().product());
+    for (case, graph) in graphs.iter().enumerate() {
+        let mut b = Builder::new(shape);
+        let outputs = graph(&mut b);
+        let model = b.finish(&[&outputs[0], &outputs[1]]);
+        let split = fastest().split(&model).unwrap();
+        let nodes = &split.graph.as_ref().unwrap().node;
+        assert!(nodes.iter().any(|n| n.op_type == ISLAND), "{case}");
+        let (ours, _) = run(&model, fastest(), shape, &input);
+        let (tracts, _) = run(&model, Engine::Tract, shape, &input);
+        for (ours, tracts) in ours.iter().zip(&tracts) {
+            let steps_off = |(a, b): (&f32, &f32)| (a - b).abs() / STEPS.scale;
+            let most = ours.iter().zip(tracts).map(steps_off).fold(0.0, f32::max);
+            assert!(most < 1.01, "{case}: {most} steps");
+        }
+    }
+}
+
+/// Where the exact place is half way between two pixels, which f32 may miss, the one that ONNX Runtime 1.31 takes.
+#[test]
+fn nearest_pixels_at_ties_are_onnx_runtimes() {
+    let resize = |coordinates, nearest, outputs| Resize {
+        target: Target::Sizes([1, outputs]),
+        coordinates,
+        nearest,
+        linear: false,
+    };
+    for (coordinates, nearest, [from, to], at, expected) in [
+        (
+            Coordinates::PytorchHalfPixel,
+            Nearest::RoundPreferFloor,
+            [20, 26],
+            19,
+            14,
+        ),
+        (
+            Coordinates::HalfPixel,
+            Nearest::RoundPreferFloor,
+            [20, 26],
+            19,
+            14,
+        ),
+        (
+            Coordinates::HalfPixel,
+            Nearest::RoundPreferCeil,
+            [20, 26],
+            19,
+            15,
+        ),
+        (
+            Coordinates::Asymmetric,
+            Nearest::RoundPreferCeil,
+            [7, 2],
+            1,
+            4,
+        ),
+        (
+            Coordinates::Asymmetric,
+            Nearest::RoundPreferFloor,
+            [7, 2],
+            1,
+            3,
+        ),
+    ] {
+        let places = resize(coordinates, nearest, to).axis(1, [1, from]);
+        assert_eq!(
+            places[at].first, expected,
+            "{coordinates:?}, {nearest:?}, {from} to {to}"
+        );
+    }
 }
 
 /// Bytes without a zero point are what `output_dtype` says (opset 21), on either side of what the engine does not know, and in weights that

@@ -34,7 +34,7 @@ pub const LEAST_DEPTH_M: f32 = 1e-3;
 pub enum CropRule {
     /// All of it.
     None,
-    /// The crop of Garg et al., as KITTI results are reported with it: [`Crop::garg`].
+    /// The crop of Garg et al., as KITTI results are reported with it.
     Garg,
 }
 

@@ -124,7 +124,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     };
     let mut sets = data_sets(&arguments.data_sets, arguments.limit)?;
     let mut candidates = candidates(&arguments.models, sets.len())?;
-    check([&arguments.markdown, &arguments.json].into_iter().flatten())?;
+    let outputs = [&arguments.markdown, &arguments.json];
+    check(outputs.into_iter().flatten(), &arguments.models)?;
     let mut evaluator = Evaluator::new(protocol);
     let progress = progress(&sets);
     for (index, measured) in sets.iter_mut().enumerate() {

@@ -107,7 +107,7 @@ pub(crate) fn survey(graph: &GraphProto, all: bool) -> Survey {
         }
     }
     reader.add_shared_expressions(&mut found, &mut reasons);
-    keep_connected(&mut found);
+    keep_connected(&mut found, all);
     reader.add_exits(&mut found);
     found.sort_by_key(|f| f.nodes.last().copied());
     Survey {
@@ -116,8 +116,9 @@ pub(crate) fn survey(graph: &GraphProto, all: bool) -> Survey {
     }
 }
 
-/// Takes out layers that read bytes from elsewhere, and those that only prepare for layers that are not there.
-fn keep_connected(found: &mut Vec<Recognized>) {
+/// Takes out layers that read bytes from elsewhere, and those that only prepare for layers that are not there; but of an island's body
+/// (`all`), which may have them for another island.
+fn keep_connected(found: &mut Vec<Recognized>, all: bool) {
     loop {
         let before = found.len();
         let made: HashSet<String> = found.iter().map(|f| f.layer.output.clone()).collect();
@@ -135,7 +136,7 @@ fn keep_connected(found: &mut Vec<Recognized>) {
                 (&f.layer.operation, &f.layer.form),
                 (Operation::Quantize, _) | (Operation::Elementwise(_), Form::Floats)
             );
-            !prepares || read.contains(&f.layer.output)
+            all || !prepares || read.contains(&f.layer.output)
         });
         if found.len() == before {
             return;

@@ -60,6 +60,15 @@ pub(super) fn window(node: &NodeProto, kernel: Option<[usize; 2]>) -> Found<Wind
     {
         return Err(format!("it pads or reaches over more than {MOST_PIXELS} pixels").into());
     }
+    // A layer that only looks at padding is for tract; refused later, it would take all others there.
+    if let Padding::Explicit(pads) = &padding
+        && reaches
+            .iter()
+            .zip(pads)
+            .any(|(reach, before)| before >= reach)
+    {
+        return Err("it pads by as much as it reaches over".into());
+    }
     Ok(Window {
         kernel,
         strides,
