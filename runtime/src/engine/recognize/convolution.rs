@@ -5,7 +5,7 @@ use tract_onnx::pb::NodeProto;
 use super::Found;
 use super::constants::Integers;
 use super::graph::{Reader, attribute, float, input, integer, sizes};
-use super::window::window;
+use super::window::{moving_window, window};
 use crate::engine::layer::{
     Convolution, Fill, Form, Layer, Operand, Operation, Pad, Padding, Quantization, Window,
 };
@@ -155,7 +155,7 @@ fn dimensions(weights: &Integers) -> Found<[usize; 4]> {
 
 fn grouped(node: &NodeProto, weights: &Integers) -> Found<Convolution> {
     let [outputs, per_group, rows, columns] = dimensions(weights)?;
-    let window = window(node, Some([rows, columns]))?;
+    let window = moving_window(node, Some([rows, columns]))?;
     let groups = groups(node)?;
     if outputs % groups != 0 {
         return Err("its outputs do not divide into its groups".into());

@@ -9,6 +9,19 @@ use crate::engine::layer::{Coordinates, Fill, Nearest, Pad, Padding, Resize, Tar
 /// That a window reaches over, that are added on one side, or that a side is resized to.
 const MOST_PIXELS: usize = 16384;
 
+/// A window that moves over an input, of which each place sees something.
+pub(super) fn moving_window(node: &NodeProto, kernel: Option<[usize; 2]>) -> Found<Window> {
+    let window = window(node, kernel)?;
+    let reach = |axis: usize| (window.kernel[axis] - 1) * window.dilations[axis] + 1;
+    // A layer that would only look at padding is for tract; refused later, it would take all others there.
+    if let Padding::Explicit(pads) = &window.padding
+        && [0, 1].iter().any(|&axis| pads[axis] >= reach(axis))
+    {
+        return Err("it pads by as much as it reaches over".into());
+    }
+    Ok(window)
+}
+
 /// The window of a pool.
 pub(super) fn pool(node: &NodeProto) -> Found<Window> {
     if integer(node, "storage_order", 0) != 0 {
@@ -20,7 +33,7 @@ pub(super) fn pool(node: &NodeProto) -> Found<Window> {
     let ceil = integer(node, "ceil_mode", 0) != 0;
     Ok(Window {
         ceil,
-        ..window(node, None)?
+        ..moving_window(node, None)?
     })
 }
 
@@ -59,15 +72,6 @@ pub(super) fn window(node: &NodeProto, kernel: Option<[usize; 2]>) -> Found<Wind
         .any(|&pixels| pixels > MOST_PIXELS)
     {
         return Err(format!("it pads or reaches over more than {MOST_PIXELS} pixels").into());
-    }
-    // A layer that only looks at padding is for tract; refused later, it would take all others there.
-    if let Padding::Explicit(pads) = &padding
-        && reaches
-            .iter()
-            .zip(pads)
-            .any(|(reach, before)| before >= reach)
-    {
-        return Err("it pads by as much as it reaches over".into());
     }
     Ok(Window {
         kernel,
