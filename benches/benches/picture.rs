@@ -1,5 +1,5 @@
 //! From picture bytes to depth, stage by stage: baseline, vanilla and adaptive side by side, int8, at three sizes, on one
-//! thread and on two. Picture, network and depth have the same size, so that nothing is resampled.
+//! thread and on two. Picture, network and depth have the same size, so that nothing is resampled. And what another ground costs.
 #![allow(missing_docs, clippy::expect_used)]
 
 use std::path::Path;
@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use gedepth::{
-    Calibration, Engine, Estimator, Kernel, Model, Numbers, OutputSize, Picture, StageTimes,
+    Calibration, Distortion, Engine, Estimator, Kernel, Model, Numbers, OutputSize, Picture,
+    StageTimes,
 };
 
 const MODES: [&str; 3] = ["baseline", "vanilla", "adaptive"];
@@ -71,5 +72,38 @@ fn stages(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, stages);
+/// What a new pitch or height costs between two pictures.
+fn another_ground(criterion: &mut Criterion) {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
+    let path = fixtures.join("scenes/street/calibration.json");
+    let street = Numbers::read(&path).expect("its calibration");
+    let picture = street.size.expect("its pictures' size");
+    let model = Model::embedded().expect("the embedded model");
+    for network in [(640, 192), (1216, 352)] {
+        let mut group = criterion.benchmark_group(format!(
+            "another ground, network {}x{}, depth {}x{}",
+            network.0, network.1, picture.0, picture.1
+        ));
+        for (lens, distortion) in [
+            ("pinhole", Distortion::None),
+            ("lens", Distortion::Equidistant([0.02, -0.003, 0.0, 0.0])),
+        ] {
+            let numbers = Numbers {
+                distortion,
+                ..street
+            };
+            let calibration = Calibration::new(&path, &numbers).expect("a camera");
+            let output = OutputSize::Picture;
+            let mut estimator =
+                Estimator::new(&model, &calibration, picture, Some(network), output)
+                    .expect("an estimator");
+            group.bench_function(lens, |bencher| {
+                bencher.iter(|| estimator.set_ground(calibration.ground()));
+            });
+        }
+        group.finish();
+    }
+}
+
+criterion_group!(benches, stages, another_ground);
 criterion_main!(benches);

@@ -12,7 +12,7 @@ use gedepth_core::table::GroundRows;
 use crate::Error;
 use crate::contract::Contract;
 use crate::engine::Threads;
-use crate::ground::OutputGround;
+use crate::ground::PixelGround;
 use crate::model::Outputs;
 use crate::vectors::{Loops, widest};
 
@@ -90,7 +90,7 @@ impl<'a> Heads<'a> {
 struct Stripe<'a> {
     fusion: Fusion,
     heads: Heads<'a>,
-    ground: &'a OutputGround,
+    ground: &'a PixelGround,
     scratch: &'a mut [f32],
     maps: FusedMaps<'a>,
 }
@@ -134,7 +134,7 @@ pub(crate) fn fuse(
     contract: &Contract,
     (fusion, residual_unit): (&Fusion, ResidualUnit),
     (outputs, team): (&Outputs<'_>, Option<Threads<'_>>),
-    ground: &OutputGround,
+    ground: &PixelGround,
     scratch: &mut Vec<Vec<f32>>,
     mut maps: FusedMaps<'_>,
 ) -> Result<(), Error> {

@@ -10,7 +10,8 @@ const TRUSTED: f32 = 0.5;
 /// What one picture says about its calibration, at the output's pixels. `None`: there is no such pixel, or no attention.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plausibility {
-    /// Share of the pixels where the calibration has ground within the model's range; 0 to 1. The same for every picture.
+    /// Share of the pixels where the calibration has ground within the model's range; 0 to 1. The same for every picture until
+    /// [`set_ground`](crate::Estimator::set_ground).
     pub ground_share: f32,
     /// Share of those where the ground is trusted: the attention is at least 1/2. It falls when the ground is hidden or wet,
     /// the lens is dirty, or the calibration is of another camera.

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use gedepth_core::table::{MIN_INVERSE_DEPTH, depth_from_inverse};
+use gedepth_core::table::{GroundRows, MIN_INVERSE_DEPTH, depth_from_inverse};
 
 use crate::Error;
 use crate::contract::{Channel, Contract, Fit, GroundChannel};
@@ -166,6 +166,8 @@ pub(crate) struct Preprocessor {
     network: [usize; 2],
     /// For each channel of the input, where it comes from.
     channels: Vec<Source>,
+    /// Room for a row of the ground.
+    ground_row: Vec<f32>,
     /// What each of the network's threads resamples with.
     scratch: Vec<Mutex<Scratch>>,
 }
@@ -174,7 +176,7 @@ pub(crate) struct Preprocessor {
 enum Source {
     /// A colour: its place in a pixel, and what each byte of it becomes.
     Colour(usize, Box<[f32; 256]>),
-    /// The ground: the same for every picture.
+    /// The ground: the same for every picture, until another is set.
     Ground(GroundChannel),
 }
 
@@ -199,48 +201,61 @@ impl Preprocessor {
             resampler: Resampler::new(picture, placement),
             network: [placement.network.1, placement.network.0].map(|side| side as usize),
             channels: contract.channels.iter().map(source).collect(),
+            ground_row: vec![0.0; placement.network.0 as usize],
             scratch: Vec::new(),
         }
     }
 
-    /// Writes what does not depend on the picture. `ground` is the network's pixels' inverse ground depth, 1/m.
-    pub(crate) fn prepare(&mut self, contract: &Contract, ground: &[f32], entrance: Entrance<'_>) {
-        let value = |form| move |&inverse: &f32| ground_value(form, inverse, contract);
-        let threads = match entrance {
-            Entrance::Planes(planes) => {
-                for (plane, source) in planes.chunks_exact_mut(ground.len()).zip(&self.channels) {
-                    if let &Source::Ground(form) = source {
-                        for (out, inverse) in plane.iter_mut().zip(ground) {
-                            *out = value(form)(inverse);
-                        }
-                    }
+    /// Writes what depends on neither picture nor ground.
+    pub(crate) fn prepare(&mut self, entrance: Entrance<'_>) {
+        let mut threads = 1;
+        if let Entrance::Pixels(entrance) = entrance {
+            for (channel, source) in self.channels.iter().enumerate() {
+                if let Source::Colour(colour, values) = source {
+                    let value = |byte| values[usize::from(byte)];
+                    entrance.pixels.set_colour(channel, *colour, value);
                 }
-                1
             }
-            Entrance::Pixels(entrance) => {
-                for (channel, source) in self.channels.iter().enumerate() {
-                    match source {
-                        Source::Colour(colour, values) => {
-                            entrance
-                                .pixels
-                                .set_colour(channel, *colour, |byte| values[usize::from(byte)]);
-                        }
-                        Source::Ground(form) => {
-                            entrance
-                                .pixels
-                                .set_constant(channel, ground.iter().map(value(*form)));
-                        }
-                    }
-                }
-                entrance.threads()
-            }
-        };
+            threads = entrance.threads();
+        }
         self.scratch = (0..threads)
             .map(|_| Mutex::new(self.resampler.scratch()))
             .collect();
     }
 
-    /// Writes what does; allocates nothing. After [`Preprocessor::prepare`], for the same network.
+    /// Writes the channel of the ground, if there is one; `ground` is that of the network's pixels. Allocates nothing.
+    pub(crate) fn set_ground<G: GroundRows>(
+        &mut self,
+        contract: &Contract,
+        ground: &G,
+        mut entrance: Entrance<'_>,
+    ) -> Result<(), gedepth_core::Error> {
+        let [height, width] = self.network;
+        for (channel, source) in self.channels.iter().enumerate() {
+            let &Source::Ground(form) = source else {
+                continue;
+            };
+            for (v, y) in (0..).zip(0..height) {
+                ground.write_row(v, &mut self.ground_row)?;
+                widest(GroundValues {
+                    form,
+                    contract,
+                    row: &mut self.ground_row,
+                });
+                match &mut entrance {
+                    Entrance::Planes(planes) => planes[(channel * height + y) * width..][..width]
+                        .copy_from_slice(&self.ground_row),
+                    Entrance::Pixels(entrance) => {
+                        widest(entrance.pixels.constant_row(channel, y, &self.ground_row));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes what depends on the picture; allocates nothing. After [`Preprocessor::prepare`] and [`Preprocessor::set_ground`],
+    /// for the same network.
     ///
     /// # Panics
     /// Where the picture is not of the size that this was made for.
@@ -302,11 +317,30 @@ impl<P: FnMut(usize, [u8; 3])> Loops for ResampledRow<'_, P> {
     }
 }
 
+/// A row of the ground: inverse depth, 1/m, to become what the channel holds.
+struct GroundValues<'a> {
+    form: GroundChannel,
+    contract: &'a Contract,
+    row: &'a mut [f32],
+}
+
+impl Loops for GroundValues<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for value in self.row {
+            *value = ground_value(self.form, *value, self.contract);
+        }
+    }
+}
+
 /// What a ground channel holds where the inverse ground depth is `inverse` (1/m).
+#[inline(always)]
 fn ground_value(form: GroundChannel, inverse: f32, contract: &Contract) -> f32 {
     let (scale, limit) = (contract.ground_scale_m, contract.ground_limit);
     match form {
-        GroundChannel::InverseDepth => (scale * inverse).clamp(-limit, limit),
+        GroundChannel::InverseDepth => (scale * inverse).max(-limit).min(limit),
         GroundChannel::Depth => {
             let z = depth_from_inverse(inverse);
             if z <= limit { z / scale } else { 0.0 }
@@ -320,6 +354,9 @@ fn ground_value(form: GroundChannel, inverse: f32, contract: &Contract) -> f32 {
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
+    use gedepth_core::camera::ImageSize;
+    use gedepth_core::table::GroundView;
+
     use super::*;
     use crate::engine::{Engine, Kernel};
     use crate::model::Network;
@@ -341,11 +378,26 @@ mod tests {
         Contract::from_metadata(all.into_iter().chain(entries.iter().copied())).expect("a contract")
     }
 
-    /// Writes the colours of a picture; the ground is flat and infinitely far.
+    /// A ground whose inverse depth rises by 1/1024 from pixel to pixel, from -1.
+    fn ramp(pixels: usize) -> Vec<f32> {
+        (0..pixels).map(|i| i as f32 / 1024.0 - 1.0).collect()
+    }
+
+    /// The ground with these inverse depths.
+    fn ground(values: &[f32], network: Size) -> GroundView<'_> {
+        let size = ImageSize::new(network.0, network.1).expect("a size");
+        GroundView::from_values(values, size, 1.5).expect("a ground")
+    }
+
+    /// Writes a picture, over [`ramp`].
     fn fill(contract: &Contract, placement: &Placement, picture: Picture<'_>, planes: &mut [f32]) {
-        let ground = vec![0.0; planes.len() / contract.channels.len()];
+        let values = ramp(planes.len() / contract.channels.len());
+        let ground = ground(&values, placement.network);
         let mut preprocessor = Preprocessor::new(contract, picture.size(), placement);
-        preprocessor.prepare(contract, &ground, Entrance::Planes(planes));
+        preprocessor.prepare(Entrance::Planes(planes));
+        preprocessor
+            .set_ground(contract, &ground, Entrance::Planes(planes))
+            .expect("a ground");
         preprocessor
             .fill(picture, Entrance::Planes(planes))
             .expect("filled");
@@ -392,6 +444,7 @@ mod tests {
         contract
             .channels
             .insert(1, Channel::Ground(GroundChannel::InverseDepth));
+        (contract.ground_scale_m, contract.ground_limit) = (8.0, 100.0);
         let placement = Placement {
             left: 0,
             top: 0,
@@ -402,7 +455,8 @@ mod tests {
         let mut planes = vec![-7.0; 4 * 32 * 32];
         let picture = Picture::new((64, 64), &bytes).expect("a picture");
         fill(&contract, &placement, picture, &mut planes);
-        assert!(planes[1024..2048].iter().all(|&x| x == 0.0));
+        let expected: Vec<f32> = ramp(1024).iter().map(|inverse| 8.0 * inverse).collect();
+        assert_eq!(planes[1024..2048], expected);
         assert!(
             planes[..1024]
                 .iter()
@@ -585,10 +639,14 @@ mod tests {
         };
         let bytes: Vec<u8> = (0..70 * 50 * 3).map(|i| (i * i / 7 % 256) as u8).collect();
         let picture = Picture::new(picture_size, &bytes).expect("a picture");
-        let ground: Vec<f32> = (0..64 * 32).map(|i| i as f32 * 4e-4 - 0.4).collect();
+        let values: Vec<f32> = (0..64 * 32).map(|i| i as f32 * 4e-4 - 0.4).collect();
+        let ground = ground(&values, placement.network);
         let mut preprocessor = Preprocessor::new(contract, picture_size, &placement);
-        let mut planes = vec![0.0; contract.channels.len() * ground.len()];
-        preprocessor.prepare(contract, &ground, Entrance::Planes(&mut planes));
+        let mut planes = vec![0.0; contract.channels.len() * values.len()];
+        preprocessor.prepare(Entrance::Planes(&mut planes));
+        preprocessor
+            .set_ground(contract, &ground, Entrance::Planes(&mut planes))
+            .expect("a ground");
         preprocessor
             .fill(picture, Entrance::Planes(&mut planes))
             .expect("filled");
@@ -609,8 +667,14 @@ mod tests {
         let from_planes = heads(&mut network);
         network
             .fill_input(|entrance| {
-                preprocessor.prepare(contract, &ground, entrance);
+                preprocessor.prepare(entrance);
                 Ok(())
+            })
+            .expect("filled");
+        network
+            .fill_input(|entrance| {
+                let set = preprocessor.set_ground(contract, &ground, entrance);
+                set.map_err(|e| e.to_string())
             })
             .expect("filled");
         network

@@ -6,6 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 
+use gedepth::gedepth_core::Ground;
 use gedepth::{Calibration, Engine, Estimator, Kernel, Model, OutputSize, Picture, picture};
 
 /// The system's allocator, counting.
@@ -43,6 +44,8 @@ fn a_picture_costs_no_allocation() {
     let image = picture::read(&scene.join("image.png")).expect("the shipped picture");
     let picture = Picture::from(&image);
     let calibration = Calibration::read(&scene.join("calibration.json")).expect("its calibration");
+    let ground = calibration.ground();
+    let lower = Ground::new(ground.down(), 0.9 * ground.height()).expect("a ground");
     let mut depths: [Option<Vec<f32>>; 2] = [None, None];
     for kernel in Kernel::ALL
         .into_iter()
@@ -66,8 +69,14 @@ fn a_picture_costs_no_allocation() {
                 // Ground and attention, made when asked for, are made beside the same depth.
                 let depth = estimator.maps().expect("maps").depth;
                 assert_eq!(depth[0], once);
+                // Another ground, and the first one again.
+                for ground in [&lower, calibration.ground()] {
+                    estimator.set_ground(ground).expect("a ground");
+                    estimator.run(picture).expect("depth");
+                }
                 let allocations = ALLOCATIONS.load(SeqCst) - before;
                 assert_eq!(allocations, 0, "{kernel:?}, {threads} threads, {output:?}");
+                let depth = estimator.maps().expect("maps").depth;
                 let expected = expected.get_or_insert_with(|| depth.to_vec());
                 assert!(
                     expected == depth,

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use gedepth::{Calibration, Estimator, Model, OutputSize, Picture, picture};
+use gedepth::{Calibration, Distortion, Estimator, Model, Numbers, OutputSize, Picture, picture};
 use gedepth_tests::{abs_rel, depth, folders, real_data, root, shipped_scenes};
 
 /// The farthest depth that counts, metres, as on KITTI.
@@ -212,5 +212,78 @@ fn maps_are_of_the_last_picture() {
         let wall = maps_of(Picture::new(size, &grey).expect("a picture"));
         assert!(street.0 != wall.0 && street.1 != wall.1, "{name}");
         assert!(street == maps_of(Picture::from(&image)), "{name}");
+    }
+}
+
+/// Online calibration: an estimator that is given another ground is the one that would have been made with it, in every mode, whether
+/// the engine or tract runs the model, whatever the lens.
+#[test]
+fn an_estimator_over_another_ground_is_a_new_one_with_it() {
+    let image = picture::read(&root().join("fixtures/scenes/hill/image.png")).expect("a picture");
+    let hill =
+        Numbers::read(&root().join("fixtures/scenes/hill/calibration.json")).expect("numbers");
+    let sin = 1.5_f64.to_radians().sin();
+    let lenses = [
+        Distortion::None,
+        Distortion::PlumbBob([-0.2, 0.05, 1e-3, -2e-3, 0.0]),
+        Distortion::Equidistant([0.02, -0.003, 0.0, 0.0]),
+    ];
+    let models = [
+        "baseline-int8",
+        "vanilla-int8",
+        "adaptive-int8",
+        "adaptive-f32",
+    ];
+    for (distortion, name) in lenses
+        .iter()
+        .flat_map(|lens| models.map(|name| (*lens, name)))
+    {
+        let model = shipped_model(&format!("{name}.onnx"));
+        let calibration = |up, offset| {
+            let numbers = Numbers {
+                distortion,
+                up,
+                offset,
+                ..hill
+            };
+            Calibration::new(Path::new("hill"), &numbers).expect("a calibration")
+        };
+        // The vehicle's frame, z up: pitched by 1.5 degrees and rolled by 0.6, 7 cm lower.
+        let first = calibration(hill.up, hill.offset);
+        let then = calibration([sin, 0.01, 1.0], hill.offset + 0.07);
+        for output in [OutputSize::Picture, OutputSize::Network] {
+            let new = |calibration| {
+                let size = Some((192, 96));
+                Estimator::new(&model, calibration, image.dimensions(), size, output)
+                    .expect("an estimator")
+            };
+            let maps = |estimator: &mut Estimator| {
+                estimator.run(Picture::from(&image)).expect("depth");
+                let maps = estimator.maps().expect("maps");
+                [maps.depth, maps.ground, maps.attention.unwrap_or_default()].map(<[f32]>::to_vec)
+            };
+            let (mut changed, mut anew) = (new(&first), new(&then));
+            let before = maps(&mut changed);
+            changed.set_ground(then.ground()).expect("a ground");
+            assert_eq!(changed.ground(), anew.ground());
+            let after = maps(&mut changed);
+            assert!(
+                after == maps(&mut anew),
+                "{name}, {distortion:?}, {output:?}"
+            );
+            assert!(after[1] != before[1], "{name}, {distortion:?}, {output:?}");
+            assert_eq!(
+                after[0] == before[0],
+                name.starts_with("baseline"),
+                "{name}"
+            );
+            let signs = [&mut changed, &mut anew].map(|e| e.plausibility().expect("signs"));
+            assert_eq!(signs[0], signs[1]);
+            changed.set_ground(first.ground()).expect("a ground");
+            assert!(
+                maps(&mut changed) == before,
+                "{name}, {distortion:?}, {output:?}"
+            );
+        }
     }
 }

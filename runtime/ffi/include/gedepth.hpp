@@ -36,6 +36,20 @@ inline gedepth_calibration read_calibration(const std::string& path) {
   return calibration;
 }
 
+// The ground that a calibration's R, T and plane give.
+inline gedepth_ground ground_of(const gedepth_calibration& calibration) {
+  gedepth_ground ground{};
+  check(gedepth_ground_of_calibration(&calibration, &ground));
+  return ground;
+}
+
+// The ground under a camera: metres, radians (positive pitch looks down, positive roll lowers the right side).
+inline gedepth_ground ground_of(double height, double pitch, double roll) {
+  gedepth_ground ground{};
+  check(gedepth_ground_of_mounting(height, pitch, roll, &ground));
+  return ground;
+}
+
 class Model {
  public:
   // The model inside the library.
@@ -105,6 +119,15 @@ class Camera {
     check(gedepth_camera_plausibility(camera_.get(), &plausibility));
     return plausibility;
   }
+
+  gedepth_ground ground() const {
+    gedepth_ground ground{};
+    check(gedepth_camera_ground(camera_.get(), &ground));
+    return ground;
+  }
+
+  // From the next picture on.
+  void set_ground(const gedepth_ground& ground) { check(gedepth_camera_set_ground(camera_.get(), &ground)); }
 
   gedepth_camera* get() const noexcept { return camera_.get(); }
 

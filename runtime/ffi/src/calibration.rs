@@ -3,6 +3,7 @@
 use std::ffi::c_char;
 use std::path::Path;
 
+use gedepth::gedepth_core::Ground;
 use gedepth::{Calibration, Distortion, Numbers};
 
 use crate::memory::{self, Array};
@@ -84,8 +85,18 @@ impl gedepth_calibration {
                 ),
             ));
         }
+        let numbers = self.numbers(distortion);
+        Ok(Calibration::new(Path::new("calibration"), &numbers)?)
+    }
+
+    /// What R, T and the plane give.
+    pub(crate) fn ground(&self) -> Result<Ground> {
+        Ok(self.numbers(Distortion::None).ground()?)
+    }
+
+    fn numbers(&self, distortion: Distortion) -> Numbers {
         let r = self.r;
-        let numbers = Numbers {
+        Numbers {
             size: Some((self.width, self.height)),
             k: [
                 [self.fx, self.skew, self.cx],
@@ -97,8 +108,7 @@ impl gedepth_calibration {
             t: self.t,
             up: self.plane_up,
             offset: self.plane_offset,
-        };
-        Ok(Calibration::new(Path::new("calibration"), &numbers)?)
+        }
     }
 }
 

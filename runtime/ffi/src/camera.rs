@@ -4,6 +4,7 @@ use std::iter;
 use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::Instant;
 
+use gedepth::gedepth_core::Ground;
 use gedepth::{Error, Estimate, Estimator, OutputSize, Picture};
 
 use crate::calibration::gedepth_calibration;
@@ -136,7 +137,8 @@ pub struct gedepth_times {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct gedepth_plausibility {
-    /// Share of the maps' pixels where the calibration has ground within the model's range. The same for every picture.
+    /// Share of the maps' pixels where the calibration has ground within the model's range. The same for every picture until
+    /// gedepth_camera_set_ground.
     pub ground_share: f32,
     /// Share of those where the ground is trusted: the attention is at least 1/2. It falls when the ground is hidden or wet,
     /// the lens is dirty, or the calibration is of another camera.
@@ -248,6 +250,16 @@ impl gedepth_camera {
             TryLockError::WouldBlock => Failure::plain(GEDEPTH_BUSY),
             TryLockError::Poisoned(_) => Failure::plain(GEDEPTH_PANICKED),
         })
+    }
+
+    /// What the next picture is fused with.
+    pub(crate) fn ground(&self) -> Result<Ground> {
+        Ok(*self.state()?.estimator.ground())
+    }
+
+    /// From the next picture on.
+    pub(crate) fn set_ground(&self, ground: &Ground) -> Result<()> {
+        Ok(self.state()?.estimator.set_ground(ground)?)
     }
 
     /// Runs a picture and writes its maps; its times, and whether that was late.
@@ -426,8 +438,8 @@ fn needed(rows: u32, stride: usize, row: usize) -> Option<usize> {
 
 /// Binds a model to a calibrated camera: plans the network, builds the ground table and runs a made-up picture, so that all
 /// memory of later runs is there. Takes some 50 ms with the shipped models, up to 1 s where tract runs the model. `options`
-/// may be null: the usual. `*camera` is written on success only. For another calibration open another camera, then close
-/// this one.
+/// may be null: the usual. `*camera` is written on success only. For another lens or place open another camera, then close
+/// this one; another ground under it is gedepth_camera_set_ground's.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_camera_open(
     model: *const gedepth_model,
@@ -547,6 +559,7 @@ mod tests {
 
     use super::*;
     use crate::calibration::GEDEPTH_PINHOLE;
+    use crate::ground::{gedepth_camera_ground, gedepth_camera_set_ground, gedepth_ground};
     use crate::model::{gedepth_model_close, gedepth_model_open_embedded};
     use crate::result::GEDEPTH_OK;
 
@@ -602,6 +615,8 @@ mod tests {
             assert_eq!(gedepth_model_open_embedded(0, 1, &mut model), GEDEPTH_OK);
             let opened = gedepth_camera_open(model, &calibration, &options, &mut camera);
             assert_eq!(opened, GEDEPTH_OK);
+            let mut under = gedepth_ground::default();
+            assert_eq!(gedepth_camera_ground(camera, &mut under), GEDEPTH_OK);
             let run = || gedepth_camera_run(camera, &picture, &maps, 0, null_mut());
             let mut statistics = gedepth_statistics::default();
 
@@ -611,6 +626,9 @@ mod tests {
                 gedepth_camera_statistics(camera, &mut statistics),
                 GEDEPTH_BUSY
             );
+            let mut ground = gedepth_ground::default();
+            assert_eq!(gedepth_camera_ground(camera, &mut ground), GEDEPTH_BUSY);
+            assert_eq!(gedepth_camera_set_ground(camera, &under), GEDEPTH_BUSY);
             drop(in_use);
             assert!(depth.iter().all(|&z| z == -1.0));
             assert_eq!(run(), GEDEPTH_OK);

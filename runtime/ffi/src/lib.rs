@@ -23,6 +23,7 @@
 
 pub mod calibration;
 pub mod camera;
+pub mod ground;
 pub mod model;
 pub mod result;
 pub mod statistics;

@@ -141,6 +141,8 @@ pub const GEDEPTH_NOT_A_ROTATION: i32 = 202;
 pub const GEDEPTH_REFLECTION: i32 = 203;
 /// Translation.
 pub const GEDEPTH_TRANSLATION: i32 = 204;
+/// An angle.
+pub const GEDEPTH_ANGLE_NOT_FINITE: i32 = 205;
 /// Offset of the ground plane.
 pub const GEDEPTH_PLANE_OFFSET: i32 = 301;
 /// Height over the ground.
@@ -249,6 +251,7 @@ const TEXTS: &[(i32, &CStr)] = &[
         GEDEPTH_TRANSLATION,
         c"translation: must be within +-1e9 m",
     ),
+    (GEDEPTH_ANGLE_NOT_FINITE, c"an angle is not finite"),
     (
         GEDEPTH_PLANE_OFFSET,
         c"ground plane offset: must be within +-1e9 m",

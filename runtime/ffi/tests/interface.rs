@@ -9,6 +9,7 @@ use std::ptr::{null, null_mut};
 use gedepth::{Calibration, Distortion, Estimator, Model, Numbers, OutputSize, Picture};
 use gedepth_ffi::calibration::*;
 use gedepth_ffi::camera::*;
+use gedepth_ffi::ground::*;
 use gedepth_ffi::model::*;
 use gedepth_ffi::result::*;
 use gedepth_ffi::statistics::gedepth_statistics;
@@ -238,6 +239,7 @@ fn numbers_of_the_interface() {
         (GEDEPTH_NOT_A_ROTATION, 202),
         (GEDEPTH_REFLECTION, 203),
         (GEDEPTH_TRANSLATION, 204),
+        (GEDEPTH_ANGLE_NOT_FINITE, 205),
         (GEDEPTH_PLANE_OFFSET, 301),
         (GEDEPTH_CAMERA_NOT_ABOVE_GROUND, 302),
         (GEDEPTH_OUTPUT_LENGTH, 607),
@@ -268,6 +270,7 @@ fn layouts_of_the_interface() {
     let pointers = size_of::<usize>();
     let sizes = [
         (size_of::<gedepth_calibration>(), 248),
+        (size_of::<gedepth_ground>(), 32),
         (size_of::<gedepth_options>(), 32),
         (size_of::<gedepth_shape>(), 48),
         (size_of::<gedepth_picture>(), 3 * pointers + 8),
@@ -922,4 +925,131 @@ fn every_poisoned_number_is_refused_by_a_known_result_or_gives_finite_depth() {
         let opened = Camera::open(&model, &calibration(), &options);
         assert_eq!(opened.err(), Some(result));
     }
+}
+
+fn ground_of(calibration: &gedepth_calibration) -> gedepth_ground {
+    let mut ground = gedepth_ground::default();
+    // SAFETY: both are the caller's or this function's.
+    let result = unsafe { gedepth_ground_of_calibration(calibration, &mut ground) };
+    assert_eq!(result, GEDEPTH_OK, "{}", last_error());
+    ground
+}
+
+impl Camera {
+    fn ground(&self) -> gedepth_ground {
+        let mut ground = gedepth_ground::default();
+        // SAFETY: `ground` is this function's.
+        let result = unsafe { gedepth_camera_ground(self.0, &mut ground) };
+        assert_eq!(result, GEDEPTH_OK);
+        ground
+    }
+
+    fn set_ground(&self, ground: &gedepth_ground) -> i32 {
+        // SAFETY: `ground` is the caller's.
+        unsafe { gedepth_camera_set_ground(self.0, ground) }
+    }
+}
+
+/// The vehicle pitches: the open camera is then the one that would have been opened, and the first one again when it is back.
+#[test]
+fn a_camera_over_another_ground_is_one_opened_with_it() {
+    let first = calibration();
+    // The road falls away to the right and ahead, and the camera is 5 cm nearer to it.
+    let then = gedepth_calibration {
+        plane_up: [0.02, 0.01, 1.0],
+        plane_offset: -1.6,
+        ..first
+    };
+    let rgb = noise(4);
+    let camera = Camera::open(&Handle::embedded(), &first, &options(0)).unwrap();
+    let opened = Camera::open(&Handle::embedded(), &then, &options(0)).unwrap();
+    let before = camera.depth(&rgb);
+    assert_eq!(camera.ground(), ground_of(&first));
+    assert_eq!(camera.set_ground(&ground_of(&then)), GEDEPTH_OK);
+    let after = camera.depth(&rgb);
+    assert!(after == opened.depth(&rgb));
+    assert!(after != before);
+    // A direction of any length.
+    let mut ground = ground_of(&first);
+    ground.down = ground.down.map(|x| 4.0 * x);
+    assert_eq!(camera.set_ground(&ground), GEDEPTH_OK);
+    assert!(camera.depth(&rgb) == before);
+}
+
+/// Against trigonometry: 1.65 m over the ground, looking 2 degrees down, the right side 3 degrees lower.
+#[test]
+fn a_mounting_is_the_ground_that_the_header_says() {
+    let [pitch, roll] = [2.0_f64, 3.0].map(f64::to_radians);
+    let mut ground = gedepth_ground::default();
+    // SAFETY: `ground` is this function's.
+    let mounted = |height, pitch, roll, ground: &mut gedepth_ground| unsafe {
+        gedepth_ground_of_mounting(height, pitch, roll, ground)
+    };
+    assert_eq!(mounted(1.65, pitch, roll, &mut ground), GEDEPTH_OK);
+    // Looking down, the ground comes towards the axis of view; with the right side low, it is to the right.
+    let down = [
+        pitch.cos() * roll.sin(),
+        pitch.cos() * roll.cos(),
+        pitch.sin(),
+    ];
+    for (is, expected) in ground.down.into_iter().zip(down) {
+        assert!((is - expected).abs() < 1e-15, "{ground:?}, {down:?}");
+    }
+    assert_eq!(ground.height, 1.65);
+    mounted(1.65, pitch, 0.0, &mut ground);
+    let of_file = ground_of(&calibration());
+    for (is, expected) in ground.down.into_iter().zip(of_file.down) {
+        assert!((is - expected).abs() < 1e-15, "{ground:?}, {of_file:?}");
+    }
+
+    let before = ground;
+    for (height, pitch, result) in [
+        (0.0, 0.0, GEDEPTH_CAMERA_NOT_ABOVE_GROUND),
+        (f64::NAN, 0.0, GEDEPTH_CAMERA_NOT_ABOVE_GROUND),
+        (1.65, f64::INFINITY, GEDEPTH_ANGLE_NOT_FINITE),
+    ] {
+        assert_eq!(mounted(height, pitch, 0.0, &mut ground), result);
+        assert_eq!(ground, before);
+    }
+}
+
+#[test]
+fn grounds_that_are_none_are_refused_and_change_nothing() {
+    let camera = Camera::usual();
+    let rgb = noise(5);
+    let (before, good) = (camera.depth(&rgb), camera.ground());
+    let [x, y, z] = good.down;
+    for (down, height, result) in [
+        ([0.0; 3], 1.5, GEDEPTH_DIRECTION_WITHOUT_LENGTH),
+        ([x, f64::NAN, z], 1.5, GEDEPTH_DIRECTION_WITHOUT_LENGTH),
+        ([x, y, z], -1.5, GEDEPTH_CAMERA_NOT_ABOVE_GROUND),
+        ([x, y, z], 1e6, GEDEPTH_CAMERA_NOT_ABOVE_GROUND),
+        ([x, y, z], f64::NAN, GEDEPTH_CAMERA_NOT_ABOVE_GROUND),
+    ] {
+        assert_eq!(camera.set_ground(&gedepth_ground { down, height }), result);
+    }
+    let mut calibration = calibration();
+    calibration.r[0] = 2.0;
+    let mut ground = good;
+    let overlapping: *const gedepth_calibration = &calibration;
+    // SAFETY: all of it is this function's; what overlaps is refused.
+    unsafe {
+        let refused = gedepth_ground_of_calibration(&calibration, &mut ground);
+        assert_eq!(refused, GEDEPTH_NOT_A_ROTATION);
+        let refused = gedepth_ground_of_calibration(overlapping, overlapping.cast_mut().cast());
+        assert_eq!(refused, GEDEPTH_OVERLAP);
+        for refused in [
+            gedepth_ground_of_calibration(null(), &mut ground),
+            gedepth_ground_of_calibration(&calibration, null_mut()),
+            gedepth_ground_of_mounting(1.5, 0.0, 0.0, null_mut()),
+            gedepth_camera_ground(null(), &mut ground),
+            gedepth_camera_ground(camera.0, null_mut()),
+            gedepth_camera_set_ground(null_mut(), &good),
+            gedepth_camera_set_ground(camera.0, null()),
+        ] {
+            assert_eq!(refused, GEDEPTH_NULL_POINTER);
+        }
+    }
+    assert_eq!((ground, camera.ground()), (good, good));
+    assert!(camera.depth(&rgb) == before);
 }

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 
 use gedepth_ffi::calibration::*;
 use gedepth_ffi::camera::*;
+use gedepth_ffi::ground::*;
 use gedepth_ffi::model::*;
 use gedepth_ffi::result::*;
 use gedepth_ffi::statistics::gedepth_statistics;
@@ -119,6 +120,12 @@ fn main() {
                 _ => GEDEPTH_OK,
             };
             assert_eq!(result, expected);
+            // Another ground for half of the pictures: a vehicle pitches.
+            let ground = gedepth_ground {
+                down: [0.0, 1.0, f64::from(run as u32 / 2 % 2) / 50.0],
+                height: 1.5,
+            };
+            assert_eq!(gedepth_camera_set_ground(camera, &ground), GEDEPTH_OK);
             if run % 100 == 0 {
                 let read = gedepth_camera_statistics(camera, &mut statistics);
                 assert_eq!(read, GEDEPTH_OK);

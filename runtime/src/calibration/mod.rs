@@ -70,6 +70,17 @@ impl Numbers {
         };
         numbers.map_err(malformed(path))
     }
+
+    /// The ground as the camera sees it: what R, T and the plane give. The camera itself is not checked.
+    ///
+    /// # Errors
+    /// Those of [`GroundPlane::new`], [`Extrinsics::world_to_camera`] and [`Ground::seen_by`].
+    pub fn ground(&self) -> Result<Ground, gedepth_core::Error> {
+        let [x, y, z] = self.up;
+        let plane = GroundPlane::new(Direction::new(x, y, z)?, self.offset)?;
+        let extrinsics = Extrinsics::world_to_camera(self.r, self.t)?;
+        Ground::seen_by(&extrinsics, &plane)
+    }
 }
 
 /// A calibrated camera over its ground, checked.
@@ -97,15 +108,12 @@ impl Calibration {
     }
 
     fn checked(path: &Path, numbers: &Numbers) -> Result<Self, gedepth_core::Error> {
-        let [x, y, z] = numbers.up;
-        let plane = GroundPlane::new(Direction::new(x, y, z)?, numbers.offset)?;
-        let extrinsics = Extrinsics::world_to_camera(numbers.r, numbers.t)?;
         let calibration = Self {
             path: path.to_owned(),
             size: numbers.size,
             k: numbers.k,
             distortion: numbers.distortion,
-            ground: Ground::seen_by(&extrinsics, &plane)?,
+            ground: numbers.ground()?,
         };
         // Where the file has no size the numbers are still checked, against any.
         calibration.camera_of(numbers.size.unwrap_or((1, 1)))?;

@@ -48,18 +48,23 @@ impl Quantization {
     }
 
     /// The byte of a real value. NaN becomes the smallest byte.
+    #[inline(always)]
     pub(crate) fn byte(self, real: f32) -> u8 {
         saturate(real / self.scale, self.zero, &(0..=255))
     }
 }
 
 /// `rne(value) + zero`, saturated to a range of bytes. NaN becomes the smallest.
+#[inline(always)]
 pub(crate) fn saturate(value: f32, zero: u8, range: &RangeInclusive<u8>) -> u8 {
-    // A cast from f32 saturates; adding a byte to a saturated i32 must too.
-    let byte = (value.round_ties_even() as i32).saturating_add(i32::from(zero));
-    if value.is_nan() {
-        return *range.start();
-    }
+    // What is added to it leaves no place for a fraction: f32 rounds to nearest, ties to even, and the last bits are the
+    // integer. A cast saturates one value at a time.
+    const ROUNDED: f32 = 1.5 * (1 << 23) as f32;
+    // No byte is farther than 256 from the zero point. `max` loses a NaN, which `clamp` would keep.
+    #[expect(clippy::manual_clamp)]
+    let near = value.max(-256.0).min(256.0);
+    let steps = (near + ROUNDED).to_bits() as i32 - ROUNDED.to_bits() as i32;
+    let byte = steps + i32::from(zero);
     byte.clamp(i32::from(*range.start()), i32::from(*range.end())) as u8
 }
 
@@ -572,4 +577,44 @@ fn broadcast(one: Shape, other: Shape) -> Result<Shape, String> {
         };
     }
     Ok(both)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// In f64, where nothing rounds before it is asked to.
+    fn exact(value: f32, zero: u8, range: &RangeInclusive<u8>) -> u8 {
+        let (start, end) = (f64::from(*range.start()), f64::from(*range.end()));
+        match value.is_nan() {
+            true => *range.start(),
+            false => (f64::from(value).round_ties_even() + f64::from(zero)).clamp(start, end) as u8,
+        }
+    }
+
+    #[test]
+    fn bytes_are_the_nearest_ties_to_even_and_saturate() {
+        let quarters = (-1200..=1200).map(|k| k as f32 / 4.0);
+        let beside = |x: f32| [x.next_down(), x, x.next_up()];
+        let extremes = [
+            f32::NAN,
+            -f32::NAN,
+            f32::INFINITY,
+            f32::MAX,
+            1e9,
+            8_388_609.0,
+            f32::MIN_POSITIVE,
+        ];
+        let values = quarters
+            .flat_map(beside)
+            .chain(extremes.into_iter().flat_map(|x| [x, -x]));
+        for value in values {
+            for zero in [0, 1, 127, 128, 255] {
+                for range in [0..=255, 3..=250, 128..=255, 200..=200] {
+                    let (byte, exact) = (saturate(value, zero, &range), exact(value, zero, &range));
+                    assert_eq!(byte, exact, "{value}, {zero}, {range:?}");
+                }
+            }
+        }
+    }
 }
