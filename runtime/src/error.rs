@@ -9,21 +9,21 @@ use crate::contract::ContractError;
 #[non_exhaustive]
 pub enum Error {
     /// The picture's file cannot be read.
-    #[error("{path}: cannot read the picture: {source}")]
+    #[error("{path}: cannot read the picture: {reason}")]
     PictureRead {
         /// The picture's file.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The picture's file is not a picture, is broken, or is too large.
     #[cfg(feature = "files")]
-    #[error("{path}: cannot decode the picture: {source}; give a PNG or JPEG of at most {max} x {max} pixels", max = crate::picture::MAX_SIDE)]
+    #[error("{path}: cannot decode the picture: {reason}; give a PNG or JPEG of at most {max} x {max} pixels", max = crate::picture::MAX_SIDE)]
     PictureDecode {
         /// The picture's file.
         path: PathBuf,
         /// Why.
-        source: image::ImageError,
+        reason: image::ImageError,
     },
     /// The picture is not of the size that the estimator was made for.
     #[error(
@@ -66,12 +66,12 @@ pub enum Error {
         reason: String,
     },
     /// A calibration file cannot be read.
-    #[error("{path}: cannot read the calibration: {source}")]
+    #[error("{path}: cannot read the calibration: {reason}")]
     CalibrationRead {
         /// The calibration's file.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// A calibration file is malformed.
     #[error("{path}: not a calibration: {reason}")]
@@ -90,20 +90,20 @@ pub enum Error {
         reason: gedepth_core::Error,
     },
     /// The model's file cannot be read.
-    #[error("{path}: cannot read the model: {source}")]
+    #[error("{path}: cannot read the model: {reason}")]
     ModelRead {
         /// The model's file.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The model says nothing, or nonsense, about itself.
-    #[error("{path}: {source}")]
+    #[error("{path}: {reason}")]
     Contract {
         /// The model's file.
         path: PathBuf,
         /// What is wrong.
-        source: ContractError,
+        reason: ContractError,
     },
     /// The model is not ONNX, or does not do what its contract says, or tract cannot run it.
     #[error("{path}: cannot run the model: {reason}")]
@@ -122,14 +122,14 @@ pub enum Error {
         reason: String,
     },
     /// A model and a frame of a data set do not go together.
-    #[error("{frame} with {model}: {source}")]
+    #[error("{frame} with {model}: {reason}")]
     Frame {
         /// The frame's folder.
         frame: PathBuf,
         /// The model's file.
         model: PathBuf,
         /// Why.
-        source: Box<Error>,
+        reason: Box<Error>,
     },
     /// An output cannot be written.
     #[error("{path}: cannot write: {reason}")]
@@ -162,7 +162,7 @@ impl Error {
             Error::Contract { .. } => 842,
             Error::Model { .. } => 843,
             Error::DataSet { .. } => 861,
-            Error::Frame { source, .. } => source.code(),
+            Error::Frame { reason, .. } => reason.code(),
             Error::Write { .. } => 881,
         }
     }
@@ -181,7 +181,7 @@ impl Error {
             Error::ModelRead { .. } | Error::Contract { .. } | Error::Model { .. } => 5,
             Error::Write { .. } => 6,
             Error::DataSet { .. } => 7,
-            Error::Frame { source, .. } => source.exit_code(),
+            Error::Frame { reason, .. } => reason.exit_code(),
         }
     }
 }
@@ -203,7 +203,7 @@ mod tests {
                 801,
                 Error::PictureRead {
                     path: path(),
-                    source: io(),
+                    reason: io(),
                 },
             ),
             #[cfg(feature = "files")]
@@ -211,7 +211,7 @@ mod tests {
                 802,
                 Error::PictureDecode {
                     path: path(),
-                    source: image::ImageError::IoError(io()),
+                    reason: image::ImageError::IoError(io()),
                 },
             ),
             (
@@ -247,7 +247,7 @@ mod tests {
                 821,
                 Error::CalibrationRead {
                     path: path(),
-                    source: io(),
+                    reason: io(),
                 },
             ),
             (
@@ -268,14 +268,14 @@ mod tests {
                 841,
                 Error::ModelRead {
                     path: path(),
-                    source: io(),
+                    reason: io(),
                 },
             ),
             (
                 842,
                 Error::Contract {
                     path: path(),
-                    source: contract(),
+                    reason: contract(),
                 },
             ),
             (
@@ -297,9 +297,9 @@ mod tests {
                 Error::Frame {
                     frame: path(),
                     model: path(),
-                    source: Box::new(Error::Contract {
+                    reason: Box::new(Error::Contract {
                         path: path(),
-                        source: contract(),
+                        reason: contract(),
                     }),
                 },
             ),
@@ -313,6 +313,8 @@ mod tests {
         ];
         for (number, error) in errors {
             assert_eq!(error.code(), number, "{error:?}");
+            // The message says all: who prints sources after it would say it twice.
+            assert!(std::error::Error::source(&error).is_none(), "{error:?}");
         }
     }
 }

@@ -66,9 +66,9 @@ impl Model {
                 "larger than 2 GiB, the limit of an ONNX file",
             ))
         };
-        let bytes = read().map_err(|source| Error::ModelRead {
+        let bytes = read().map_err(|reason| Error::ModelRead {
             path: path.to_owned(),
-            source,
+            reason,
         })?;
         Self::from_bytes(path, &bytes)
     }
@@ -102,9 +102,9 @@ impl Model {
             .metadata_props
             .iter()
             .map(|e| (e.key.as_str(), e.value.as_str()));
-        let contract = Contract::from_metadata(metadata).map_err(|source| Error::Contract {
+        let contract = Contract::from_metadata(metadata).map_err(|reason| Error::Contract {
             path: path.to_owned(),
-            source,
+            reason,
         })?;
         let fixed_size = check_graph(&proto, &contract).map_err(unfit)?;
         Ok(Self {

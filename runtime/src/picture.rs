@@ -20,9 +20,9 @@ pub fn read(path: &Path) -> Result<RgbImage, Error> {
 
 /// Reads a PNG or JPEG file with the pixels that it has.
 pub(crate) fn read_any(path: &Path) -> Result<DynamicImage, Error> {
-    let file = File::open(path).map_err(|source| Error::PictureRead {
+    let file = File::open(path).map_err(|reason| Error::PictureRead {
         path: path.to_owned(),
-        source,
+        reason,
     })?;
     let mut limits = Limits::no_limits();
     limits.max_image_width = Some(MAX_SIDE);
@@ -42,9 +42,9 @@ pub(crate) fn read_any(path: &Path) -> Result<DynamicImage, Error> {
     opened()
         .map_err(image::ImageError::IoError)
         .and_then(ImageReader::decode)
-        .map_err(|source| Error::PictureDecode {
+        .map_err(|reason| Error::PictureDecode {
             path: path.to_owned(),
-            source,
+            reason,
         })
 }
 

@@ -175,8 +175,8 @@ fn read_text(path: &Path) -> Result<String, Error> {
         }
         Ok(text)
     };
-    read().map_err(|source| Error::CalibrationRead {
+    read().map_err(|reason| Error::CalibrationRead {
         path: path.to_owned(),
-        source,
+        reason,
     })
 }

@@ -135,10 +135,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
             measured.masks += u64::from(frame.ground_from == GroundFrom::Mask);
             for candidate in &mut candidates {
                 let scores = score(candidate, &frame, arguments.network_size, &mut evaluator)
-                    .map_err(|source| Error::Frame {
+                    .map_err(|reason| Error::Frame {
                         frame: path.clone(),
                         model: candidate.model.path().to_owned(),
-                        source: Box::new(source),
+                        reason: Box::new(reason),
                     })?;
                 candidate.scores[index].merge(&scores);
                 if let Some(dir) = &arguments.save_depth {
