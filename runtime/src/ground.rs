@@ -16,7 +16,7 @@ pub(crate) enum PixelGround {
     },
     /// Of any lens: a table.
     Lens {
-        /// Of every pixel, as [`RayView`] has them; made once, which takes a thousand times as long as a table from them.
+        /// Of every pixel, as [`RayView`] has them; made once, which takes hundreds of times as long as a table from them.
         rays: Vec<f32>,
         /// 1/m.
         values: Vec<f32>,
