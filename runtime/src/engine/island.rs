@@ -11,6 +11,7 @@ use tract_onnx::pb::{
     type_proto,
 };
 
+use super::functions::merge;
 use super::layer::{Form, Layer, Operand, Shape};
 use super::recognize::graph::Reader;
 use super::recognize::{Recognized, Survey, survey};
@@ -52,11 +53,13 @@ impl Island {
                 .collect(),
             inputs,
             outputs,
-            layers: survey(body, true)
-                .layers
-                .into_iter()
-                .flat_map(|found| found.first.into_iter().chain([found.layer]))
-                .collect(),
+            layers: merge(
+                survey(body, true)
+                    .layers
+                    .into_iter()
+                    .flat_map(|found| found.first.into_iter().chain([found.layer]))
+                    .collect(),
+            ),
         }
     }
 

@@ -2,7 +2,8 @@
 //!
 //! [`qlinear`] and [`tidy`] bring what different tools write into one form; [`recognize`] finds layers between
 //! QuantizeLinear and DequantizeLinear in the ONNX graph; [`island`] gathers them and
-//! replaces each gathering by one operator of tract ([`operator`]); [`layer`] says exactly what a layer means;
+//! replaces each gathering by one operator of tract ([`operator`]); [`layer`] says exactly what a layer means, [`functions`] which
+//! of them are one table;
 //! [`stages`] says which layers run as one, [`schedule`] lays out their memory and shares out their rows among
 //! [`threads`]; [`kernels`] are the inner loops; a network that is all one island runs without tract ([`whole`]). What is
 //! not recognized stays with tract, with a reason ([`inspection`]), and where an island cannot be planned, the whole model
@@ -14,6 +15,7 @@
 
 mod arena;
 mod expression;
+mod functions;
 mod inspection;
 mod island;
 mod kernels;

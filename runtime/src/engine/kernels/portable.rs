@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::{Addition, BLOCK, Dense, Depthwise, Part, Row, ToBytes};
 use crate::engine::layer::{Between, Quantization, saturate};
+use crate::vectors::Loops;
 
 /// Accumulators of one block of one pixel.
 fn accumulate(
@@ -225,18 +226,29 @@ fn table_row(table: &[u8; 256], input: &[u8], out: &mut [u8]) {
 }
 
 /// The product of two rows.
-pub(crate) fn multiply_row(
-    zeros: [u8; 2],
-    factor: f32,
-    to: &ToBytes,
-    one: &[u8],
-    other: &[u8],
-    out: &mut [u8],
-) {
-    for ((out, &one), &other) in out.iter_mut().zip(one).zip(other) {
-        let product =
-            (i32::from(one) - i32::from(zeros[0])) * (i32::from(other) - i32::from(zeros[1]));
-        *out = saturate(product as f32 * factor, to.zero, &to.range);
+pub(crate) struct ProductRow<'a> {
+    pub(crate) zeros: [u8; 2],
+    pub(crate) factor: f32,
+    pub(crate) to: &'a ToBytes,
+    pub(crate) one: &'a [u8],
+    pub(crate) other: &'a [u8],
+    pub(crate) out: &'a mut [u8],
+}
+
+impl Loops for ProductRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self {
+            zeros, factor, to, ..
+        } = self;
+        let [first, second] = zeros.map(i32::from);
+        let (zero, range) = (to.zero, to.range.clone());
+        for ((out, &one), &other) in self.out.iter_mut().zip(self.one).zip(self.other) {
+            let product = (i32::from(one) - first) * (i32::from(other) - second);
+            *out = saturate(product as f32 * factor, zero, &range);
+        }
     }
 }
 
@@ -279,29 +291,55 @@ fn copy_pixels<const PITCH: usize>(input: &[u8], columns: &[Between], out: &mut 
     }
 }
 
-/// A row of a bilinear resize.
-pub(crate) fn resize_row(
-    halves: Halves<'_>,
-    columns: &[Between],
-    pitch: usize,
-    zero: u8,
-    factor: f32,
-    to: &ToBytes,
-    out: &mut [u8],
-) {
-    for (column, out) in columns.iter().zip(out.chunks_exact_mut(pitch)) {
-        let pixel = |row: usize, at: usize| &halves.rows[row][at * pitch..][..pitch];
-        let corners = [
-            [pixel(0, column.first), pixel(0, column.second)],
-            [pixel(1, column.first), pixel(1, column.second)],
-        ];
-        for (channel, out) in out.iter_mut().enumerate() {
-            let value = |row: usize, side: usize| {
-                (i32::from(corners[row][side][channel]) - i32::from(zero)) as f32
+/// A row of a bilinear resize of pixels of a multiple of [`BLOCK`] bytes.
+pub(crate) struct ResizedRow<'a> {
+    pub(crate) halves: Halves<'a>,
+    pub(crate) columns: &'a [Between],
+    pub(crate) pitch: usize,
+    pub(crate) zero: u8,
+    pub(crate) factor: f32,
+    pub(crate) to: &'a ToBytes,
+    pub(crate) out: &'a mut [u8],
+}
+
+impl Loops for ResizedRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self {
+            halves,
+            pitch,
+            factor,
+            to,
+            ..
+        } = self;
+        let zero = i32::from(self.zero);
+        // Of one's own: what is behind references may change with every byte that is written, for all the compiler knows.
+        let (to_zero, range) = (to.zero, to.range.clone());
+        let down = [1.0 - halves.weight, halves.weight];
+        for (column, out) in self.columns.iter().zip(self.out.chunks_exact_mut(pitch)) {
+            let pixel = |row: usize, at: usize| {
+                let pixel = &halves.rows[row][at * pitch..][..pitch];
+                pixel.as_chunks::<BLOCK>().0
             };
-            let along = |row| value(row, 0) * (1.0 - column.weight) + value(row, 1) * column.weight;
-            let between = along(0) * (1.0 - halves.weight) + along(1) * halves.weight;
-            *out = saturate(between * factor, to.zero, &to.range);
+            let right = [1.0 - column.weight, column.weight];
+            let corners = |row| {
+                pixel(row, column.first)
+                    .iter()
+                    .zip(pixel(row, column.second))
+            };
+            let blocks = out.as_chunks_mut::<BLOCK>().0.iter_mut();
+            for ((out, upper), lower) in blocks.zip(corners(0)).zip(corners(1)) {
+                for (lane, out) in out.iter_mut().enumerate() {
+                    let value = |pixel: &[u8; BLOCK]| (i32::from(pixel[lane]) - zero) as f32;
+                    let along = |(first, second): (&[u8; BLOCK], &[u8; BLOCK])| {
+                        value(first) * right[0] + value(second) * right[1]
+                    };
+                    let between = along(upper) * down[0] + along(lower) * down[1];
+                    *out = saturate(between * factor, to_zero, &range);
+                }
+            }
         }
     }
 }

@@ -6,14 +6,15 @@ use std::sync::{Mutex, PoisonError};
 use super::super::arena::{Arena, Shared};
 use super::super::expression::Expression;
 use super::super::kernels::{
-    Halves, Kernel, Part, Row, average_row, channel_row, copy_row, dequantize_row, flatten,
-    max_row, multiply_row, pad_row, quantize_row, resize_row, store_channel,
+    Halves, Kernel, Part, ProductRow, ResizedRow, Row, average_row, channel_row, copy_row,
+    dequantize_row, flatten, max_row, pad_row, quantize_row, store_channel,
 };
 use super::super::layer::{Between, Shape, Window};
 use super::super::threads::Member;
 use super::buffer::{Buffer, Taps, between_borders};
 use super::memory::Planes;
 use super::step::{Source, Step, Work};
+use crate::vectors::widest;
 
 /// Which row a member makes.
 #[derive(Clone, Copy, Debug)]
@@ -244,7 +245,14 @@ impl Run<'_> {
             }
             Work::Multiply { zeros, factor, to } => {
                 for (one, other, out) in pixels(&step.reads, [0, 1].map(&mut input), out) {
-                    multiply_row(*zeros, *factor, to, one, other, out);
+                    widest(ProductRow {
+                        zeros: *zeros,
+                        factor: *factor,
+                        to,
+                        one,
+                        other,
+                        out,
+                    });
                 }
             }
             Work::Pad {
@@ -337,7 +345,15 @@ impl Run<'_> {
                         rows: [row(first), row(second)],
                         weight,
                     };
-                    resize_row(halves, columns, buffer.pitch, *zero, *factor, to, out);
+                    widest(ResizedRow {
+                        halves,
+                        columns,
+                        pitch: buffer.pitch,
+                        zero: *zero,
+                        factor: *factor,
+                        to,
+                        out,
+                    });
                 }
             }
             Work::MaxPool {
