@@ -11,7 +11,7 @@
 //! | `fusion` | `runtime` (the outputs are heads), `graph` (the output is the depth, metres) | all |
 //! | `input` | name of the input, f32 `[1, channels, height, width]` | all |
 //! | `channels` | list of `red`, `green`, `blue`, `inverse_ground_depth`, `ground_depth`, `ground_depth_unfiltered` | all |
-//! | `mean`, `std` | three numbers each, of red, green and blue in 0 to 255, whatever the order of the channels | all |
+//! | `mean`, `std` | three numbers each, of red, green and blue in 0 to 255, whatever the order of the channels; `std` at least 1 | all |
 //! | `size_multiple` | height and width are multiples of this | all |
 //! | `nominal_size` | `WIDTHxHEIGHT` the network was made for | all |
 //! | `fit` | `resize` (default), `crop`: bottom-centre crop, no resampling | optional |
@@ -31,6 +31,9 @@
 //!
 //! `f` is the focal length `sqrt(fx fy)` in pixels of the network's input: `z / f` is what a pixel spans there, and what a thing of known
 //! size tells, whatever the lens.
+//!
+//! Heads are decoded where their samples are and upsampled then: residuals to metres, attention to 0 to 1. So train them; only of slopes `slope_order` may
+//! say otherwise.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -147,7 +150,7 @@ pub struct Contract {
     pub channels: Vec<Channel>,
     /// Mean of red, green, blue, in 0 to 255.
     pub mean: [f32; 3],
-    /// Standard deviation of red, green, blue, in 0 to 255; positive.
+    /// Standard deviation of red, green, blue, in 0 to 255; at least 1.
     pub std: [f32; 3],
     /// Height and width are multiples of this.
     pub size_multiple: u32,
@@ -199,14 +202,19 @@ pub enum ContractError {
         expected: &'static str,
     },
     /// Two entries exclude each other.
-    #[error("the model's contract contradicts itself: {0}")]
-    Contradictory(&'static str),
+    #[error("the model's contract contradicts itself: `gedepth.{entry}` {reason}")]
+    Contradictory {
+        /// Key without its prefix.
+        entry: String,
+        /// What about it.
+        reason: &'static str,
+    },
     /// An entry stands there more than once.
     #[error("the model's contract has the entry `gedepth.{0}` more than once; leave one")]
     Repeated(String),
     /// An entry that this version does not know: it may change the meaning of others.
     #[error(
-        "the model's contract has the unknown entry `gedepth.{0}`; it may be made for a newer gedepth"
+        "the model's contract has the unknown entry `gedepth.{0}`: misspelt, or made for a newer gedepth"
     )]
     Unknown(String),
 }
@@ -319,9 +327,10 @@ impl Contract {
         let channels = channels(entries.text("channels")?)?;
         let has_ground = channels.iter().any(|c| matches!(c, Channel::Ground(_)));
         if has_ground && mode == Mode::Baseline {
-            return Err(ContractError::Contradictory(
-                "the mode is baseline, but a channel shows the ground",
-            ));
+            return Err(ContractError::Contradictory {
+                entry: "channels".to_owned(),
+                reason: "show the ground, but the mode is baseline",
+            });
         }
         let scaled = channels.iter().any(|c| {
             matches!(
@@ -331,8 +340,9 @@ impl Contract {
         });
         let rgb = |n: &[f32]| n.len() == 3 && n.iter().all(|x| x.is_finite());
         let mean = entries.numbers("mean", ',', "three numbers", rgb)?;
-        let std = entries.numbers("std", ',', "three positive numbers", |n: &[f32]| {
-            rgb(n) && n.iter().all(|&x| x > 0.0)
+        let expected = "three numbers of at least 1, in steps of 0 to 255 as pictures have (0.229 of 0 to 1 is 58.395)";
+        let std = entries.numbers("std", ',', expected, |n: &[f32]| {
+            rgb(n) && n.iter().all(|&x| x >= 1.0)
         })?;
         let size_multiple = entries.numbers(
             "size_multiple",
@@ -423,17 +433,19 @@ impl Contract {
         // The strides are read from the outputs themselves; the entry is for people.
         entries.optional("stride");
         if let Some(unknown) = entries.0.into_keys().next() {
-            return Err(match unknown.as_str() {
+            let reason = match unknown.as_str() {
                 "residual_form" | "upsampling" | "attention" | "attention_form" | "slope"
                 | "slope_angles_deg" | "slope_sign" | "slope_order" => {
-                    ContractError::Contradictory(
-                        "it describes a head that its mode and place of fusion exclude",
-                    )
+                    "describes a head that its mode and place of fusion exclude"
                 }
-                "ground_scale_m" | "ground_limit" => ContractError::Contradictory(
-                    "it scales a ground channel that is not among its channels",
-                ),
-                _ => ContractError::Unknown(unknown),
+                "ground_scale_m" | "ground_limit" => {
+                    "is of a scaled ground channel, which is not among its channels"
+                }
+                _ => return Err(ContractError::Unknown(unknown)),
+            };
+            return Err(ContractError::Contradictory {
+                entry: unknown,
+                reason,
             });
         }
         Ok(Self {

@@ -14,6 +14,7 @@ use crate::contract::{Contract, ResidualForm};
 use crate::engine::LayerTime;
 use crate::ground::PixelGround;
 use crate::heads::{fuse, outputs};
+use crate::inspection::PlanKind;
 use crate::model::{Model, Network, Size};
 use crate::plausibility::Plausibility;
 use crate::preprocess::{Picture, Placement, Preprocessor};
@@ -311,6 +312,11 @@ impl Estimator {
                 fusion: fused - inferred,
             },
         })
+    }
+
+    /// Who runs the network.
+    pub(crate) fn plan(&self) -> PlanKind {
+        self.network.kind()
     }
 
     /// From the network's outputs to the depth, or to all maps.

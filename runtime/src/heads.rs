@@ -47,30 +47,34 @@ impl<'a> Heads<'a> {
         residual_unit: ResidualUnit,
         outputs: &'a Outputs<'_>,
     ) -> Result<Self, Error> {
-        let map = |index| {
+        let map = |index, expected: usize| {
             let (values, [channels, height, width]) = outputs.head(index)?;
+            if channels != expected {
+                let reason = format!("has {channels} channels instead of {expected}");
+                return Err(outputs.unfit_head(index, reason));
+            }
             let side = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
             ImageSize::new(side(width), side(height))
                 .and_then(|size| HeadMap::new(Samples::F32(values), channels, size))
-                .map_err(|e| outputs.unfit(e))
+                .map_err(|e| outputs.unfit_head(index, e))
         };
         let attention = |attention: &crate::contract::Attention| {
             Ok(AttentionHead {
-                map: map(1)?,
+                map: map(1, 1)?,
                 unit: attention.unit,
                 decode_at: DecodeAt::HeadSize,
             })
         };
         let slope = |slope: &'a crate::contract::Slope| {
             Ok(SlopeHead {
-                map: map(2)?,
+                map: map(2, slope.classes.radians().len())?,
                 classes: &slope.classes,
                 decode_at: slope.decode_at,
             })
         };
         Ok(Self {
             residual: ResidualHead {
-                map: map(0)?,
+                map: map(0, 1)?,
                 unit: residual_unit,
                 decode_at: DecodeAt::HeadSize,
             },

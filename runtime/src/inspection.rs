@@ -1,15 +1,19 @@
 //! What a model file holds and how it will be run: what `gedepth inspect` prints.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tract_onnx::pb::tensor_proto::DataType;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::type_proto::Value as TypeValue;
-use tract_onnx::pb::{ModelProto, TensorProto, ValueInfoProto};
+use tract_onnx::pb::{ModelProto, StringStringEntryProto, TensorProto, ValueInfoProto};
 
-use crate::engine::InspectedNode;
+use crate::Error;
+use crate::calibration::{Calibration, Distortion, Numbers};
+use crate::engine::{InspectedNode, Place};
+use crate::estimator::{Estimator, OutputSize};
+use crate::model::{Model, Size, guarded};
 
 /// What a model file holds and how it will be run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,6 +36,74 @@ pub struct Inspection {
     pub plan: PlanKind,
     /// Its nodes in the form that the engine works on, constants aside.
     pub nodes: Vec<InspectedNode>,
+}
+
+impl Model {
+    /// What the file holds and who will run which of its nodes, at the size that the file fixes or that the network was
+    /// made for. Runs it once, as an estimator of some camera, so that it fails where [`Estimator::new`] would.
+    pub fn inspect(&self) -> Result<Inspection, Error> {
+        let size = self.fixed_size().unwrap_or(self.contract().nominal_size);
+        let camera = some_camera(size)?;
+        let estimator = Estimator::new(self, &camera, size, Some(size), OutputSize::Network)?;
+        let graph = self.proto.graph.as_ref();
+        let inspected = guarded(|| Ok(self.engine().inspect(&self.proto)));
+        let mut nodes = inspected.map_err(|reason| Error::Model {
+            path: self.path().to_owned(),
+            reason,
+        })?;
+        let plan = estimator.plan();
+        if let PlanKind::Tract {
+            islands_refused: Some(reason),
+        } = &plan
+        {
+            for node in &mut nodes {
+                if matches!(node.place, Place::Engine { .. }) {
+                    node.place = Place::Tract {
+                        reason: format!("the engine cannot plan its part: {reason}"),
+                    };
+                }
+            }
+        }
+        let entries = self.proto.metadata_props.iter();
+        let entry = |e: &StringStringEntryProto| {
+            Some((e.key.strip_prefix("gedepth.")?.to_owned(), e.value.clone()))
+        };
+        let weights: HashSet<&str> = graph
+            .iter()
+            .flat_map(|graph| graph.initializer.iter().map(|t| t.name.as_str()))
+            .collect();
+        let mut inputs = graph.map_or(Vec::new(), |graph| InspectedTensor::all(&graph.input));
+        inputs.retain(|input| !weights.contains(input.name.as_str()));
+        Ok(Inspection {
+            path: self.path().to_owned(),
+            contract: entries.filter_map(entry).collect(),
+            inputs,
+            outputs: graph.map_or(Vec::new(), |graph| InspectedTensor::all(&graph.output)),
+            weights: Weights::of(&self.proto),
+            size,
+            plan,
+            nodes,
+        })
+    }
+}
+
+/// One that looks along the ground, 1.5 m over it.
+fn some_camera(size: Size) -> Result<Calibration, Error> {
+    let [width, height] = [size.0, size.1].map(f64::from);
+    let numbers = Numbers {
+        size: Some(size),
+        k: [
+            [width, 0.0, width / 2.0],
+            [0.0, width, height / 2.0],
+            [0.0, 0.0, 1.0],
+        ],
+        distortion: Distortion::None,
+        r: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        t: [0.0; 3],
+        up: [0.0, -1.0, 0.0],
+        offset: -1.5,
+    };
+    Calibration::new(Path::new("some camera"), &numbers)
 }
 
 /// Paths need not be UTF-8, JSON has to be.

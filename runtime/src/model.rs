@@ -8,16 +8,16 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tract_onnx::pb::tensor_proto::DataType;
+use tract_onnx::pb::tensor_proto::{DataLocation, DataType};
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::type_proto::Value as TypeValue;
-use tract_onnx::pb::{GraphProto, ModelProto, StringStringEntryProto};
+use tract_onnx::pb::{GraphProto, ModelProto, TensorProto};
 use tract_onnx::prelude::*;
 
 use crate::Error;
 use crate::contract::{Contract, MAX_SIDE};
-use crate::engine::{self, Engine, Entrance, LayerTime, Place, Results, Threads, Whole};
-use crate::inspection::{InspectedTensor, Inspection, PlanKind, Weights};
+use crate::engine::{self, Engine, Entrance, LayerTime, Results, Threads, Whole};
+use crate::inspection::PlanKind;
 
 /// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
 static EMBEDDED: &[u8] = include_bytes!("../../fixtures/models/adaptive-int8.onnx");
@@ -43,7 +43,7 @@ pub type Size = (u32, u32);
 pub struct Model {
     path: PathBuf,
     contract: Contract,
-    proto: ModelProto,
+    pub(crate) proto: ModelProto,
     /// Width and height of the input, where the file fixes them.
     fixed_size: Option<Size>,
     engine: Engine,
@@ -93,6 +93,7 @@ impl Model {
             ));
         };
         check_nodes(graph).map_err(unfit)?;
+        forget_names_of_sizes(&mut proto);
         guarded(|| {
             engine::to_qdq(&mut proto);
             Ok(())
@@ -124,52 +125,6 @@ impl Model {
     /// How its quantized layers are run.
     pub fn engine(&self) -> Engine {
         self.engine
-    }
-
-    /// What the file holds and who will run which of its nodes, at the size that the file fixes or that the network was
-    /// made for.
-    pub fn inspect(&self) -> Result<Inspection, Error> {
-        let size = self.fixed_size.unwrap_or(self.contract.nominal_size);
-        let network = Network::new(self, size, &[&self.contract.residual])?;
-        let graph = self.proto.graph.as_ref();
-        let mut nodes =
-            guarded(|| Ok(self.engine.inspect(&self.proto))).map_err(|reason| Error::Model {
-                path: self.path.clone(),
-                reason,
-            })?;
-        let plan = network.kind();
-        if let PlanKind::Tract {
-            islands_refused: Some(reason),
-        } = &plan
-        {
-            for node in &mut nodes {
-                if matches!(node.place, Place::Engine { .. }) {
-                    node.place = Place::Tract {
-                        reason: format!("the engine cannot plan its part: {reason}"),
-                    };
-                }
-            }
-        }
-        let entries = self.proto.metadata_props.iter();
-        let entry = |e: &StringStringEntryProto| {
-            Some((e.key.strip_prefix("gedepth.")?.to_owned(), e.value.clone()))
-        };
-        let weights: HashSet<&str> = graph
-            .iter()
-            .flat_map(|graph| graph.initializer.iter().map(|t| t.name.as_str()))
-            .collect();
-        let mut inputs = graph.map_or(Vec::new(), |graph| InspectedTensor::all(&graph.input));
-        inputs.retain(|input| !weights.contains(input.name.as_str()));
-        Ok(Inspection {
-            path: self.path.clone(),
-            contract: entries.filter_map(entry).collect(),
-            inputs,
-            outputs: graph.map_or(Vec::new(), |graph| InspectedTensor::all(&graph.output)),
-            weights: Weights::of(&self.proto),
-            size,
-            plan,
-            nodes,
-        })
     }
 
     /// What the model says about itself.
@@ -236,6 +191,14 @@ impl fmt::Debug for Model {
 /// What neither tract nor the engine asks. Each node reads only what is there before it, as ONNX has it: what follows a tensor to where it
 /// comes from then ends. And no window is larger than any picture: tract would allocate for it, and end the process.
 fn check_nodes(graph: &GraphProto) -> Result<(), String> {
+    let elsewhere =
+        |tensor: &&TensorProto| tensor.data_location == Some(DataLocation::External as i32);
+    if let Some(tensor) = graph.initializer.iter().find(elsewhere) {
+        return Err(format!(
+            "its weights `{}` are in another file; save the model as one (onnx.save_model without save_as_external_data)",
+            tensor.name
+        ));
+    }
     let inputs = graph.input.iter().map(|input| &input.name);
     let weights = graph.initializer.iter().map(|tensor| &tensor.name);
     let sparse = graph
@@ -251,7 +214,7 @@ fn check_nodes(graph: &GraphProto) -> Result<(), String> {
         let missing = |name: &&String| !name.is_empty() && !there.contains(name.as_str());
         if let Some(missing) = node.input.iter().find(missing) {
             return Err(format!(
-                "its node {} `{}` reads `{missing}`, which nothing before it makes",
+                "its node {} `{}` reads `{missing}`, which nothing before it makes; ONNX has nodes in the order in which they run",
                 node.op_type, node.name
             ));
         }
@@ -278,6 +241,26 @@ fn check_nodes(graph: &GraphProto) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// Tools write the sizes of inner tensors as the names of the input's, or as new ones; tract takes those for other sizes than the numbers that the
+/// input gets. How many dimensions there are stays.
+fn forget_names_of_sizes(proto: &mut ModelProto) {
+    let values = proto
+        .graph
+        .iter_mut()
+        .flat_map(|graph| &mut graph.value_info);
+    for value in values {
+        if let Some(TypeValue::TensorType(tensor)) =
+            value.r#type.as_mut().and_then(|t| t.value.as_mut())
+        {
+            for dimension in tensor.shape.iter_mut().flat_map(|shape| &mut shape.dim) {
+                if let Some(Dimension::DimParam(_)) = dimension.value {
+                    dimension.value = None;
+                }
+            }
+        }
+    }
 }
 
 /// Holds the graph against its contract; returns the size that the input fixes.
@@ -307,6 +290,12 @@ fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, 
     else {
         return Err("its input has no type".to_owned());
     };
+    if tensor.elem_type != DataType::Float as i32 {
+        return Err(format!(
+            "its input is of {}, but the contract's is f32; begin the graph with the first QuantizeLinear or Cast",
+            DataType::try_from(tensor.elem_type).map_or("no known type", |t| t.as_str_name())
+        ));
+    }
     let dimensions: Vec<Option<i64>> = tensor
         .shape
         .iter()
@@ -317,7 +306,19 @@ fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, 
         })
         .collect();
     let channels = contract.channels.len() as i64;
+    let multiple = i64::from(contract.size_multiple);
+    let (width, height) = contract.nominal_size;
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(format!(
+            "its contract's nominal_size of {width} x {height} is more than {MAX_PIXELS} pixels"
+        ));
+    }
     match dimensions[..] {
+        [_, _, Some(height), Some(width)] if height % multiple != 0 || width % multiple != 0 => {
+            Err(format!(
+                "its input is fixed to {width} x {height} pixels, but its contract's size_multiple is {multiple}"
+            ))
+        }
         [batch, c, height, width]
             if batch.is_none_or(|n| n == 1) && c.is_none_or(|n| n == channels) =>
         {
@@ -333,9 +334,16 @@ fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, 
                 _ => Err("its input must have a fixed height and width, or neither".to_owned()),
             }
         }
-        _ => Err(format!(
-            "its input has the shape {dimensions:?}, but its contract needs [1, {channels}, height, width]"
-        )),
+        _ => {
+            let shape: Vec<String> = dimensions
+                .iter()
+                .map(|n| n.map_or("any".to_owned(), |n| n.to_string()))
+                .collect();
+            Err(format!(
+                "its input has the shape [{}], but its contract needs [1, {channels}, height, width]: one picture at a time, of the contract's {channels} channels",
+                shape.join(", ")
+            ))
+        }
     }
 }
 
@@ -358,8 +366,8 @@ enum Plan {
 pub(crate) struct Network {
     path: PathBuf,
     plan: Plan,
-    /// Where each output that was asked for is among the plan's.
-    outputs: Vec<usize>,
+    /// The outputs that were asked for, and where each is among the plan's.
+    outputs: Vec<(String, usize)>,
 }
 
 impl Network {
@@ -386,9 +394,14 @@ impl Network {
         let outputs = outputs
             .iter()
             .map(|name| {
-                graph_outputs.iter().position(|output| output == name).ok_or_else(|| {
-                    unfit(format!("it has no output `{name}`, which its contract names; it has {graph_outputs:?}"))
-                })
+                let place = graph_outputs.iter().position(|output| output == name);
+                let missing = || {
+                    let all = graph_outputs.join("`, `");
+                    unfit(format!(
+                        "it has no output `{name}`, which its contract names; it has `{all}`"
+                    ))
+                };
+                Ok(((*name).to_owned(), place.ok_or_else(missing)?))
             })
             .collect::<Result<Vec<_>, _>>()?;
         let shape = [
@@ -425,6 +438,16 @@ impl Network {
             Ok((whole, split))
         })
         .map_err(unfit)?;
+        // tract's words are of its own nodes and symbols.
+        let unplanned = |reason: String| {
+            unfit(match model.fixed_size {
+                Some(_) => reason,
+                None => format!(
+                    "{reason} (at {} x {} pixels, multiples of its contract's size_multiple, {})",
+                    size.0, size.1, model.contract.size_multiple
+                ),
+            })
+        };
         let plan = match (whole, split) {
             (Some(whole), _) => Plan::Engine(Box::new(whole)),
             (None, Some(split)) => plan(&split, PlanKind::TractWithIslands)
@@ -432,10 +455,10 @@ impl Network {
                     let islands_refused = Some(reason);
                     plan(&model.proto, PlanKind::Tract { islands_refused })
                 })
-                .map_err(unfit)?,
+                .map_err(unplanned)?,
             (None, None) => {
                 let islands_refused = None;
-                plan(&model.proto, PlanKind::Tract { islands_refused }).map_err(unfit)?
+                plan(&model.proto, PlanKind::Tract { islands_refused }).map_err(unplanned)?
             }
         };
         Ok(Self {
@@ -446,7 +469,7 @@ impl Network {
     }
 
     /// Who runs it.
-    fn kind(&self) -> PlanKind {
+    pub(crate) fn kind(&self) -> PlanKind {
         match &self.plan {
             Plan::Engine(_) => PlanKind::Engine,
             Plan::Tract { kind, .. } => kind.clone(),
@@ -536,7 +559,7 @@ impl Network {
 /// What a run of a network gave.
 pub(crate) struct Outputs<'a> {
     path: &'a Path,
-    order: &'a [usize],
+    order: &'a [(String, usize)],
     values: Values<'a>,
 }
 
@@ -554,27 +577,38 @@ impl Outputs<'_> {
         }
     }
 
+    /// The same of the output that was asked for as number `index`.
+    pub(crate) fn unfit_head(&self, index: usize, reason: impl fmt::Display) -> Error {
+        self.unfit(format!("its output `{}`: {reason}", self.order[index].0))
+    }
+
     /// The output that was asked for as number `index`: its numbers, planar, and its `[channels, height, width]`.
     pub(crate) fn head(&self, index: usize) -> Result<(&[f32], [usize; 3]), Error> {
+        let place = self.order[index].1;
         let value = match &self.values {
-            Values::Tract(values) => &values[self.order[index]],
-            Values::Engine(results) => return Ok(results.output(self.order[index])),
+            Values::Tract(values) => &values[place],
+            Values::Engine(results) => return Ok(results.output(place)),
         };
         let &[1, channels, height, width] = value.shape() else {
-            return Err(self.unfit(format!(
-                "an output has the shape {:?} instead of [1, channels, height, width]",
+            let reason = format!(
+                "has the shape {:?} instead of [1, channels, height, width]",
                 value.shape()
-            )));
+            );
+            return Err(self.unfit_head(index, reason));
         };
+        if value.datum_type() != f32::datum_type() {
+            let reason = format!("is of {:?} instead of f32", value.datum_type());
+            return Err(self.unfit_head(index, reason));
+        }
         let numbers = guarded(|| value.try_as_plain_ram()?.as_slice::<f32>())
-            .map_err(|reason| self.unfit(reason))?;
+            .map_err(|reason| self.unfit_head(index, reason))?;
         Ok((numbers, [channels, height, width]))
     }
 }
 
 /// Does what depends on a model file. A broken one may make tract panic, or what looks for the engine's layers; that must not take the
 /// caller with it.
-fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
+pub(crate) fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(format!("{error:#}").replace('\n', " ")),
@@ -585,7 +619,7 @@ fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
-    use tract_onnx::pb::NodeProto;
+    use tract_onnx::pb::{NodeProto, type_proto};
 
     use super::*;
 
@@ -640,6 +674,114 @@ mod tests {
             }];
             assert_eq!(check_nodes(&graph(&[padded])).is_ok(), taken, "{pixels}");
         }
+    }
+
+    fn shipped(name: &str) -> Model {
+        Model::from_file(&models().join(name)).expect("a shipped model")
+    }
+
+    /// The dynamo exporter and ONNX's own shape inference write such names, and a graph's first Cast or Slice keeps them.
+    #[test]
+    fn names_of_sizes_between_nodes_do_not_matter() {
+        let mut model = shipped("adaptive-f32.onnx");
+        let graph = model.proto.graph.as_mut().expect("a graph");
+        for input in graph.node.iter_mut().flat_map(|node| &mut node.input) {
+            if *input == "input" {
+                *input = "same".to_owned();
+            }
+        }
+        graph.node.insert(
+            0,
+            NodeProto {
+                op_type: "Identity".to_owned(),
+                input: vec!["input".to_owned()],
+                output: vec!["same".to_owned()],
+                ..NodeProto::default()
+            },
+        );
+        let mut named = graph.input[0].clone();
+        named.name = "same".to_owned();
+        if let Some(TypeValue::TensorType(tensor)) =
+            named.r#type.as_mut().and_then(|t| t.value.as_mut())
+        {
+            let dimensions = tensor.shape.iter_mut().flat_map(|shape| &mut shape.dim);
+            for (dimension, name) in dimensions.zip(["n", "c", "h", "w"]) {
+                dimension.value = Some(Dimension::DimParam(name.to_owned()));
+            }
+        }
+        graph.value_info.push(named);
+        let network = |model: &Model| Network::new(model, (64, 64), &["residual"]).map(|_| ());
+        // If tract takes them one day, there is nothing to forget.
+        assert!(network(&model).is_err());
+        forget_names_of_sizes(&mut model.proto);
+        network(&model).expect("a network");
+    }
+
+    /// What [`crate::Estimator::new`] would refuse, [`Model::inspect`] does not call sound.
+    #[test]
+    fn inspection_holds_the_outputs_against_the_contract() {
+        for precision in ["f32", "int8"] {
+            let model = || shipped(&format!("adaptive-{precision}.onnx"));
+            assert!(model().inspect().is_ok());
+            let mut named = model();
+            let attention = named.contract.attention.as_mut().expect("an attention");
+            attention.output = "attentions".to_owned();
+            let mut swapped = model();
+            swapped.contract.residual = "slope".to_owned();
+            let mut fewer = model();
+            let slope = fewer.contract.slope.as_mut().expect("slopes");
+            let angles = [-1.0, 0.0, 1.0].map(gedepth_core::Angle::from_degrees);
+            let sign = gedepth_core::slope::SlopeSign::DownhillPositive;
+            slope.classes = gedepth_core::slope::SlopeClasses::new(&angles, sign).expect("classes");
+            for (model, says) in [
+                (named, "no output `attentions`"),
+                (swapped, "`slope`: has 11 channels instead of 1"),
+                (fewer, "`slope`: has 11 channels instead of 3"),
+            ] {
+                let refused = model.inspect().expect_err("not what it says").to_string();
+                assert!(refused.contains(says), "{refused}");
+            }
+        }
+    }
+
+    /// Files of other tools that look like models for this runtime and are not quite.
+    #[test]
+    fn inputs_that_are_not_the_contracts_are_refused() {
+        let change = |change: &dyn Fn(&mut type_proto::Tensor)| {
+            let mut model = shipped("baseline-f32.onnx");
+            let graph = model.proto.graph.as_mut().expect("a graph");
+            let value = graph.input[0]
+                .r#type
+                .as_mut()
+                .and_then(|t| t.value.as_mut());
+            if let Some(TypeValue::TensorType(tensor)) = value {
+                change(tensor);
+            }
+            check_graph(&model.proto, &model.contract)
+        };
+        let sizes = |sizes: [i64; 4]| {
+            move |tensor: &mut type_proto::Tensor| {
+                let dimensions = tensor.shape.iter_mut().flat_map(|shape| &mut shape.dim);
+                for (dimension, size) in dimensions.zip(sizes) {
+                    dimension.value = Some(Dimension::DimValue(size));
+                }
+            }
+        };
+        assert_eq!(change(&sizes([1, 3, 64, 96])), Ok(Some((96, 64))));
+        for (changed, says) in [
+            (change(&|t| t.elem_type = DataType::Uint8 as i32), "UINT8"),
+            (change(&sizes([4, 3, 64, 96])), "one picture at a time"),
+            (change(&sizes([1, 4, 64, 96])), "[1, 4, 64, 96]"),
+            (change(&sizes([1, 3, 64, 90])), "size_multiple is 32"),
+        ] {
+            let refused = changed.expect_err("not the contract's");
+            assert!(refused.contains(says), "{refused}");
+        }
+        let mut model = shipped("baseline-f32.onnx");
+        let graph = model.proto.graph.as_mut().expect("a graph");
+        graph.initializer[0].data_location = Some(DataLocation::External as i32);
+        let refused = check_nodes(graph).expect_err("weights elsewhere");
+        assert!(refused.contains("another file"), "{refused}");
     }
 
     fn models() -> PathBuf {

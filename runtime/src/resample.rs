@@ -5,8 +5,8 @@
 //! pixel, at least 1; weights are normalised over those that lie in the picture. The region's neighbours count where
 //! the picture has them.
 //!
-//! Weights are multiples of 2^-14: differences of their running sums, rounded, so that they sum to one. Columns first:
-//! sums rounded (halves up) to 2^-7 of a step; then rows: sums rounded (halves up) to whole steps. A result is the
+//! Weights are multiples of 2^-14: differences of their running sums, rounded, so that they sum to one. Along the columns (over rows of the picture) first:
+//! sums rounded (halves up) to 2^-7 of a step; then along the rows: sums rounded (halves up) to whole steps. A result is the
 //! exact filter's within 1/2 + 1/256 steps, and 255 steps times 2^-14 for every two weights of either pass.
 
 use crate::Size;

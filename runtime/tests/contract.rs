@@ -1,5 +1,5 @@
 //! The model contract: what is missing, malformed or contradictory is named.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use gedepth::contract::{Channel, Contract, ContractError, Fit, GroundChannel, Mode, ResidualForm};
 
@@ -97,6 +97,8 @@ fn each_malformed_entry_is_named_with_its_value() {
         ("mean", "1,2"),
         ("mean", "1,2,NaN"),
         ("std", "1,2,0"),
+        // Of pictures in 0 to 1, by mistake.
+        ("std", "0.229,0.224,0.225"),
         ("std", "1,2,inf"),
         ("size_multiple", "0"),
         ("size_multiple", "-32"),
@@ -131,25 +133,29 @@ fn each_malformed_entry_is_named_with_its_value() {
 
 #[test]
 fn contradictions_and_unknown_entries_are_refused() {
-    for changes in [
+    for (named, changes) in [
         // A baseline must not see the ground, nor have heads for it.
-        vec![("mode", Some("baseline"))],
-        vec![
-            ("mode", Some("baseline")),
-            ("channels", Some("red,green,blue")),
-        ],
+        ("channels", vec![("mode", Some("baseline"))]),
+        (
+            "attention",
+            vec![
+                ("mode", Some("baseline")),
+                ("channels", Some("red,green,blue")),
+                ("ground_scale_m", None),
+                ("ground_limit", None),
+            ],
+        ),
         // A vanilla network has no slope.
-        vec![("mode", Some("vanilla"))],
+        ("slope", vec![("mode", Some("vanilla"))]),
         // In-graph fusion leaves no heads.
-        vec![("fusion", Some("graph"))],
+        ("attention", vec![("fusion", Some("graph"))]),
         // Scales without a channel that they scale.
-        vec![("channels", Some("red,green,blue"))],
+        ("ground_limit", vec![("channels", Some("red,green,blue"))]),
     ] {
-        let contract = changed(&changes);
-        assert!(
-            matches!(contract, Err(ContractError::Contradictory(_))),
-            "{changes:?}: {contract:?}"
-        );
+        match changed(&changes) {
+            Err(ContractError::Contradictory { entry, .. }) => assert_eq!(entry, named),
+            other => panic!("{changes:?}: {other:?}"),
+        }
     }
     let unknown = changed(&[("temperature", Some("2"))]);
     assert_eq!(

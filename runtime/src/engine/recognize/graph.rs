@@ -56,27 +56,56 @@ const KEEP_RANK: &[&str] = &[
     "Conv",
     "ConvTranspose",
     "Cos",
+    "CumSum",
+    "DepthToSpace",
     "DequantizeLinear",
     "Dropout",
     "Floor",
+    "GatherElements",
     "GlobalAveragePool",
     "GlobalMaxPool",
     "GridSample",
+    "GroupNormalization",
     "Identity",
     "InstanceNormalization",
     "LayerNormalization",
+    "LogSoftmax",
     "LRN",
     "MaxPool",
+    "Not",
     "Pad",
     "QuantizeLinear",
     "Resize",
     "Round",
+    "ScatterElements",
+    "ScatterND",
+    "Sign",
     "Sin",
     "Slice",
     "Softmax",
+    "SpaceToDepth",
     "Split",
+    "Tile",
     "Transpose",
     "Upsample",
+];
+
+/// Outputs have as many dimensions as the input that has most.
+const BROADCAST: &[&str] = &[
+    "And",
+    "Concat",
+    "Equal",
+    "Greater",
+    "GreaterOrEqual",
+    "Less",
+    "LessOrEqual",
+    "MatMul",
+    "Mean",
+    "Mod",
+    "Or",
+    "Sum",
+    "Where",
+    "Xor",
 ];
 
 /// A graph with its names looked up.
@@ -159,22 +188,33 @@ impl<'a> Reader<'a> {
         let first = ranks.first().copied().flatten();
         match node.op_type.as_str() {
             "Flatten" | "Gemm" => Some(2),
-            "Reshape" => Some(self.integers(input(node, 1)?)?.0.len()),
-            "ReduceMean" if integer(node, "keepdims", 1) != 0 => first,
-            "Squeeze" => Some(first? - self.axes(node)?.len()),
+            "Reshape" => self.length(input(node, 1)?),
+            "Shape" => Some(1),
+            "ConstantOfShape" => self.length(input(node, 0)?),
+            "Expand" => Some(first?.max(self.length(input(node, 1)?)?)),
+            op if op.starts_with("Reduce") || op.starts_with("Arg") => {
+                first.filter(|_| integer(node, "keepdims", 1) != 0)
+            }
+            "Gather" => (first? + ranks.get(1).copied().flatten()?).checked_sub(1),
+            "Squeeze" => first?.checked_sub(self.axes(node)?.len()),
             "Unsqueeze" => Some(first? + self.axes(node)?.len()),
-            "Concat" | "MatMul" => ranks
-                .into_iter()
-                .collect::<Option<Vec<_>>>()?
-                .into_iter()
-                .max(),
             op if super::function::is_function(op) || KEEP_RANK.contains(&op) => first,
-            op if super::function::is_binary(op) => ranks
+            op if super::function::is_binary(op) || BROADCAST.contains(&op) => ranks
                 .into_iter()
                 .collect::<Option<Vec<_>>>()?
                 .into_iter()
                 .max(),
             _ => None,
+        }
+    }
+
+    /// How many sizes a list of sizes has.
+    fn length(&self, name: &str) -> Option<usize> {
+        match self.maker(name) {
+            Some((_, node)) if node.op_type == "Shape" && node.attribute.is_empty() => {
+                self.rank(input(node, 0)?)
+            }
+            _ => Some(self.integers(name)?.0.len()),
         }
     }
 
@@ -269,5 +309,70 @@ fn stated_rank(value: &ValueInfoProto) -> Option<usize> {
         type_proto::Value::TensorType(tensor) => Some(tensor.shape.as_ref()?.dim.len()),
         #[allow(unreachable_patterns, reason = "tract's protobuf knows tensors only")]
         _ => None,
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::expect_used)]
+mod tests {
+    use tract_onnx::pb::tensor_proto::DataType;
+    use tract_onnx::pb::{TensorShapeProto, TypeProto, tensor_shape_proto::Dimension};
+
+    use super::*;
+
+    /// Graphs whose tools left out the shapes between nodes.
+    #[test]
+    fn ranks_follow_from_the_nodes() {
+        let input = ValueInfoProto {
+            name: "x".to_owned(),
+            r#type: Some(TypeProto {
+                value: Some(type_proto::Value::TensorType(type_proto::Tensor {
+                    elem_type: DataType::Float as i32,
+                    shape: Some(TensorShapeProto {
+                        dim: vec![Dimension::default(); 4],
+                    }),
+                })),
+                ..Default::default()
+            }),
+            ..Default::default()
+        };
+        let list = |name: &str, numbers: &[i64], dims: &[i64]| TensorProto {
+            name: name.to_owned(),
+            dims: dims.to_vec(),
+            data_type: DataType::Int64 as i32,
+            int64_data: numbers.to_vec(),
+            ..Default::default()
+        };
+        let nodes = [
+            ("Gather", &["x", "two"][..], "channels", Some(4)),
+            ("Gather", &["x", "one"], "channel", Some(3)),
+            ("Slice", &["x"], "part", Some(4)),
+            ("Shape", &["part"], "shape", Some(1)),
+            ("ConstantOfShape", &["shape"], "zeros", Some(4)),
+            ("Greater", &["part", "one"], "nearer", Some(4)),
+            ("Where", &["nearer", "zeros", "one"], "chosen", Some(4)),
+            ("Expand", &["one", "two"], "wide", Some(2)),
+            ("Reshape", &["x", "two"], "flat", Some(2)),
+            ("ReduceMax", &["chosen"], "greatest", Some(4)),
+            // More axes than there are: the file is wrong, and nothing is known.
+            ("Squeeze", &["one", "two"], "less", None),
+            ("NoSuchOperator", &["x"], "what", None),
+        ];
+        let node = |&(op, inputs, output, _): &(&str, &[&str], &str, Option<usize>)| NodeProto {
+            op_type: op.to_owned(),
+            input: inputs.iter().map(|&name| name.to_owned()).collect(),
+            output: vec![output.to_owned()],
+            ..Default::default()
+        };
+        let graph = GraphProto {
+            input: vec![input],
+            initializer: vec![list("one", &[0], &[]), list("two", &[0, 2], &[2])],
+            node: nodes.iter().map(node).collect(),
+            ..Default::default()
+        };
+        let reader = Reader::new(&graph);
+        for (op, _, output, rank) in nodes {
+            assert_eq!(reader.rank(output), rank, "{op}");
+        }
     }
 }
