@@ -74,7 +74,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     }
     print("all", times.iter().map(|run| run.iter().sum()))?;
     if arguments.profile && opened.estimator.layer_times().is_empty() {
-        say!("\ntract runs this network, not the engine: its layers have no times")?;
+        say!(
+            "\ntract runs this network, alone or around islands of the engine: layers have no times"
+        )?;
     } else if arguments.profile {
         print_layers(&opened.estimator.layer_times(), arguments.runs)?;
     }

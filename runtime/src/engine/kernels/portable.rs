@@ -357,7 +357,7 @@ pub(crate) fn max_row<'a>(taps: impl Iterator<Item = &'a [u8]>, table: &[u8; 256
     }
 }
 
-/// Sums of some pixels, times `factor`: the change of scale over their number.
+/// Sums of some pixels of a multiple of [`BLOCK`] bytes, times `factor`: the change of scale over their number.
 pub(crate) fn average_row<'a>(
     taps: impl Iterator<Item = &'a [u8]> + Clone,
     zero: u8,
@@ -365,12 +365,17 @@ pub(crate) fn average_row<'a>(
     to: &ToBytes,
     out: &mut [u8],
 ) {
-    for (channel, out) in out.iter_mut().enumerate() {
-        let sum: i64 = taps
-            .clone()
-            .map(|pixel| i64::from(pixel[channel]) - i64::from(zero))
-            .sum();
-        *out = saturate(sum as f32 * factor, to.zero, &to.range);
+    for (block, out) in out.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+        // Of more than 2^23 bytes: a mean of all of a large picture.
+        let mut sums = [0_i64; BLOCK];
+        for pixel in taps.clone() {
+            for (sum, &byte) in sums.iter_mut().zip(&pixel.as_chunks::<BLOCK>().0[block]) {
+                *sum += i64::from(byte) - i64::from(zero);
+            }
+        }
+        for (out, sum) in out.iter_mut().zip(sums) {
+            *out = saturate(sum as f32 * factor, to.zero, &to.range);
+        }
     }
 }
 
