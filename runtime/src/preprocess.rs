@@ -237,16 +237,15 @@ impl Preprocessor {
             };
             for (v, y) in (0..).zip(0..height) {
                 ground.write_row(v, &mut self.ground_row)?;
-                widest(GroundValues {
-                    form,
-                    contract,
-                    row: &mut self.ground_row,
-                });
+                for value in &mut self.ground_row {
+                    *value = ground_value(form, *value, contract);
+                }
                 match &mut entrance {
                     Entrance::Planes(planes) => planes[(channel * height + y) * width..][..width]
                         .copy_from_slice(&self.ground_row),
                     Entrance::Pixels(entrance) => {
-                        widest(entrance.pixels.constant_row(channel, y, &self.ground_row));
+                        let row = &self.ground_row;
+                        entrance.pixels.set_constant_row(channel, y, row);
                     }
                 }
             }
@@ -314,24 +313,6 @@ impl<P: FnMut(usize, [u8; 3])> Loops for ResampledRow<'_, P> {
     #[inline(always)]
     fn run(self) {
         self.resampler.row(self.rgb, self.y, self.scratch, self.put);
-    }
-}
-
-/// A row of the ground: inverse depth, 1/m, to become what the channel holds.
-struct GroundValues<'a> {
-    form: GroundChannel,
-    contract: &'a Contract,
-    row: &'a mut [f32],
-}
-
-impl Loops for GroundValues<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for value in self.row {
-            *value = ground_value(self.form, *value, self.contract);
-        }
     }
 }
 

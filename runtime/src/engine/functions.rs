@@ -4,9 +4,8 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::kernels::{Addition, Kernel, ProductRow, ToBytes};
+use super::kernels::{Addition, Kernel, ToBytes, multiply_row};
 use super::layer::{Form, Layer, Operand, Operation};
-use crate::vectors::Loops;
 
 /// The byte that a function makes of each byte of an operand.
 #[derive(Clone)]
@@ -63,15 +62,14 @@ pub(super) fn merge(mut layers: Vec<Layer>) -> Vec<Layer> {
                             &mut out[..],
                         );
                     }
-                    _ => ProductRow {
+                    _ => multiply_row(
                         zeros,
                         factor,
-                        to: &to,
-                        one: &one.table[..],
-                        other: &other.table[..],
-                        out: &mut out[..],
-                    }
-                    .run(),
+                        &to,
+                        &one.table[..],
+                        &other.table[..],
+                        &mut out[..],
+                    ),
                 }
                 out
             }

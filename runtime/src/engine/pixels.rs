@@ -1,7 +1,6 @@
 //! The first layer's bytes straight from a picture's: what QuantizeLinear makes of functions of each byte, from tables.
 
 use super::layer::Quantization;
-use crate::vectors::Loops;
 
 /// What becomes of a picture's pixels: four bytes each, one a channel.
 #[derive(Debug)]
@@ -32,19 +31,14 @@ impl Pixels {
         }
     }
 
-    /// To make row `y` of `channel` these values, whatever the picture.
-    pub(crate) fn constant_row<'a>(
-        &'a mut self,
-        channel: usize,
-        y: usize,
-        values: &'a [f32],
-    ) -> ConstantRow<'a> {
-        self.constant.1 = channel;
-        ConstantRow {
-            quantization: self.quantization,
-            bytes: &mut self.constant.0[y * self.size[1]..][..self.size[1]],
-            values,
+    /// Row `y` of `channel` is these values, whatever the picture.
+    pub(crate) fn set_constant_row(&mut self, channel: usize, y: usize, values: &[f32]) {
+        let (bytes, place) = &mut self.constant;
+        let row = bytes[y * self.size[1]..][..self.size[1]].iter_mut();
+        for (byte, &value) in row.zip(values) {
+            *byte = self.quantization.byte(value);
         }
+        *place = channel;
     }
 
     /// Row `y` from planes of f32.
@@ -67,24 +61,6 @@ impl Pixels {
             constant: &constant[y * self.size[1]..][..self.size[1]],
             shift: 8 * place,
             out: out.as_chunks_mut().0,
-        }
-    }
-}
-
-/// A row of the channel that does not come from the picture, and what it is to hold.
-pub(crate) struct ConstantRow<'a> {
-    quantization: Quantization,
-    bytes: &'a mut [u8],
-    values: &'a [f32],
-}
-
-impl Loops for ConstantRow<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for (byte, &value) in self.bytes.iter_mut().zip(self.values) {
-            *byte = self.quantization.byte(value);
         }
     }
 }

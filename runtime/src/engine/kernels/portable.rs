@@ -226,29 +226,20 @@ fn table_row(table: &[u8; 256], input: &[u8], out: &mut [u8]) {
 }
 
 /// The product of two rows.
-pub(crate) struct ProductRow<'a> {
-    pub(crate) zeros: [u8; 2],
-    pub(crate) factor: f32,
-    pub(crate) to: &'a ToBytes,
-    pub(crate) one: &'a [u8],
-    pub(crate) other: &'a [u8],
-    pub(crate) out: &'a mut [u8],
-}
-
-impl Loops for ProductRow<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self {
-            zeros, factor, to, ..
-        } = self;
-        let [first, second] = zeros.map(i32::from);
-        let (zero, range) = (to.zero, to.range.clone());
-        for ((out, &one), &other) in self.out.iter_mut().zip(self.one).zip(self.other) {
-            let product = (i32::from(one) - first) * (i32::from(other) - second);
-            *out = saturate(product as f32 * factor, zero, &range);
-        }
+pub(crate) fn multiply_row(
+    zeros: [u8; 2],
+    factor: f32,
+    to: &ToBytes,
+    one: &[u8],
+    other: &[u8],
+    out: &mut [u8],
+) {
+    let [first, second] = zeros.map(i32::from);
+    // Of one's own: what is behind references may change with every byte that is written, for all the compiler knows.
+    let (zero, range) = (to.zero, to.range.clone());
+    for ((out, &one), &other) in out.iter_mut().zip(one).zip(other) {
+        let product = (i32::from(one) - first) * (i32::from(other) - second);
+        *out = saturate(product as f32 * factor, zero, &range);
     }
 }
 
@@ -315,7 +306,7 @@ impl Loops for ResizedRow<'_> {
             ..
         } = self;
         let zero = i32::from(self.zero);
-        // Of one's own: what is behind references may change with every byte that is written, for all the compiler knows.
+        // As in `multiply_row`.
         let (to_zero, range) = (to.zero, to.range.clone());
         let down = [1.0 - halves.weight, halves.weight];
         for (column, out) in self.columns.iter().zip(self.out.chunks_exact_mut(pitch)) {

@@ -6,8 +6,8 @@ use std::sync::{Mutex, PoisonError};
 use super::super::arena::{Arena, Shared};
 use super::super::expression::Expression;
 use super::super::kernels::{
-    Halves, Kernel, Part, ProductRow, ResizedRow, Row, average_row, channel_row, copy_row,
-    dequantize_row, flatten, max_row, pad_row, quantize_row, store_channel,
+    Halves, Kernel, Part, ResizedRow, Row, average_row, channel_row, copy_row, dequantize_row,
+    flatten, max_row, multiply_row, pad_row, quantize_row, store_channel,
 };
 use super::super::layer::{Between, Shape, Window};
 use super::super::threads::Member;
@@ -245,14 +245,7 @@ impl Run<'_> {
             }
             Work::Multiply { zeros, factor, to } => {
                 for (one, other, out) in pixels(&step.reads, [0, 1].map(&mut input), out) {
-                    widest(ProductRow {
-                        zeros: *zeros,
-                        factor: *factor,
-                        to,
-                        one,
-                        other,
-                        out,
-                    });
+                    multiply_row(*zeros, *factor, to, one, other, out);
                 }
             }
             Work::Pad {
