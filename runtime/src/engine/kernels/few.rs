@@ -32,12 +32,17 @@ impl Few {
         }
         Self(few)
     }
+
+    /// Whether the outputs are few.
+    pub(super) fn is_some(&self) -> bool {
+        !self.0.is_empty()
+    }
 }
 
 impl Dense {
     /// The weights of few outputs, where it has them and the row's pixels are as narrow, and `least` or more.
     pub(super) fn few(&self, row: &Row<'_>, least: usize) -> Option<&[[i8; NARROW]]> {
-        let fits = !self.few.0.is_empty() && row.step == NARROW && row.pixels >= least;
+        let fits = self.few.is_some() && row.step == NARROW && row.pixels >= least;
         fits.then_some(&self.few.0)
     }
 }

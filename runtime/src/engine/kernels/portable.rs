@@ -185,6 +185,21 @@ pub(crate) fn store_channel(
     }
 }
 
+/// A row of steps, not yet rounded, as one channel of a row of pixels.
+pub(crate) fn saturate_channel(
+    steps: &[f32],
+    channel: usize,
+    pitch: usize,
+    to: &ToBytes,
+    out: &mut [u8],
+) {
+    // As in `multiply_row`.
+    let (zero, range) = (to.zero, to.range.clone());
+    for (pixel, &steps) in out.chunks_exact_mut(pitch).zip(steps) {
+        pixel[channel] = saturate(steps, zero, &range);
+    }
+}
+
 /// A row of pixels in other columns, through a table, and `fill` where there is none.
 pub(crate) fn pad_row(
     input: &[u8],

@@ -7,7 +7,7 @@ use super::super::arena::{Arena, Shared};
 use super::super::expression::Expression;
 use super::super::kernels::{
     Halves, Kernel, Part, ResizedRow, Row, average_row, channel_row, copy_row, dequantize_row,
-    flatten, max_row, multiply_row, pad_row, quantize_row, store_channel,
+    flatten, max_row, multiply_row, pad_row, quantize_row, saturate_channel, store_channel,
 };
 use super::super::layer::{Between, Shape, Window};
 use super::super::threads::Member;
@@ -228,7 +228,19 @@ impl Run<'_> {
             }
             Work::Dense { dense, taps, to } => {
                 let row = self.window(step, taps, turn, free, buffer.width);
-                kernel.dense_bytes(dense, &row, to, out, buffer.pitch);
+                if !dense.has_few_outputs(&row) {
+                    return kernel.dense_bytes(dense, &row, to, out, buffer.pitch);
+                }
+                let mut steps = self.scratch[member]
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner);
+                let steps = &mut steps[..dense.lanes() * buffer.width];
+                kernel.dense_floats(dense, &row, steps);
+                out.fill(to.zero);
+                let lanes = steps.chunks_exact(buffer.width).take(buffer.channels);
+                for (channel, lane) in lanes.enumerate() {
+                    saturate_channel(lane, channel, buffer.pitch, to, out);
+                }
             }
             Work::Depthwise {
                 depthwise,

@@ -111,13 +111,18 @@ impl Step {
 
     /// Numbers of a row of f32 that it needs.
     pub(super) fn scratch(&self) -> usize {
-        match &self.work {
+        let own = match &self.work {
             Work::DenseFloats { dense, size, .. } => dense.lanes() * size[1],
+            Work::Dense { dense, .. } => {
+                dense.row_of_few(self.writes.map_or(0, |buffer| buffer.width))
+            }
             Work::Elementwise {
                 expression, shape, ..
             } => (1 + expression.scratch()) * shape[2],
             _ => 0,
-        }
+        };
+        let inlined = self.inlined.iter().flatten().map(Step::scratch);
+        inlined.fold(own, usize::max)
     }
 
     /// Bytes of the rows of an inlined step that are there at once; each begins where a cache line does.

@@ -308,6 +308,73 @@ fn linear_layers_are_the_nearest_step() {
     }
 }
 
+/// Heads as ONNX Runtime's tools quantize them: one to four outputs of narrow pixels, which kernels sum up in another way.
+#[test]
+fn convolutions_of_few_outputs_are_the_nearest_step() {
+    let mut numbers = Numbers(31);
+    for case in 0..24 {
+        let outs = 1 + case % 5;
+        let channels = [16, 12][case / 20];
+        let [height, width] = [2 + numbers.below(4), 17 + numbers.below(30)];
+        let shape = [channels, height, width];
+        let side = [1, 3][case / 5 % 2];
+        let from = Steps {
+            signed: case % 2 == 0,
+            zero: [-5, 77][case % 2],
+            scale: 0.02,
+        };
+        let out = Steps {
+            signed: false,
+            zero: 101,
+            scale: 0.05,
+        };
+        let input = on_grid(&mut numbers, from, channels * height * width);
+        let mut b = Builder::new(shape);
+        let x = b.quantized("x", from);
+        let scales: Vec<f32> = (0..outs).map(|_| numbers.real(0.002, 0.01)).collect();
+        let (w, name) = weights(
+            &mut b,
+            &mut numbers,
+            &[outs, channels, side, side],
+            0,
+            128,
+            &scales,
+        );
+        let y = b.node("Conv", &[&x, &name], vec![ints("pads", &[side / 2; 4])]);
+        let y = b.quantized(&y, out);
+        let at = |channel: usize, y: usize, x: usize| {
+            // Beyond the border, rows and columns wrap around to huge ones.
+            let inside = y < height && x < width;
+            let index = || (channel * height + y) * width + x;
+            if inside {
+                f64::from(input[index()])
+            } else {
+                0.0
+            }
+        };
+        let mut real = Vec::new();
+        for out in 0..outs {
+            for y in 0..height {
+                for x in 0..width {
+                    let mut sum = 0.0;
+                    for channel in 0..channels {
+                        for v in 0..side {
+                            for u in 0..side {
+                                let weight = w[((out * channels + channel) * side + v) * side + u];
+                                let [v, u] = [y + v, x + u].map(|at| at.wrapping_sub(side / 2));
+                                sum += weight * at(channel, v, u);
+                            }
+                        }
+                    }
+                    real.push(sum);
+                }
+            }
+        }
+        let case = format!("case {case}: {channels}->{outs}, {side}x{side}, {height}x{width}");
+        check(&b.finish(&[&y]), shape, &input, out, &real, &case);
+    }
+}
+
 /// The largest products that there are, all of one sign: some kernels add two of them in 16 bits.
 #[test]
 fn extreme_bytes_and_weights_are_the_nearest_step() {
