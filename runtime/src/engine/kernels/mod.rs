@@ -310,6 +310,10 @@ impl Dense {
 
     /// Whether [`Kernel::dense_floats`] makes rows like this one, of few outputs, in a quarter of the time that
     /// [`Kernel::dense_bytes`] takes.
+    #[cfg_attr(
+        not(any(target_arch = "x86_64", target_arch = "aarch64")),
+        expect(unused_variables, reason = "the portable kernels know no few outputs")
+    )]
     pub(crate) fn has_few_outputs(&self, row: &Row<'_>) -> bool {
         #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
         return self.few(row, BLOCK).is_some();
@@ -318,6 +322,10 @@ impl Dense {
     }
 
     /// Numbers that a row of so many pixels takes as f32, if [`Self::has_few_outputs`] may say so of it.
+    #[cfg_attr(
+        not(any(target_arch = "x86_64", target_arch = "aarch64")),
+        expect(unused_variables, reason = "as above")
+    )]
     pub(crate) fn row_of_few(&self, pixels: usize) -> usize {
         #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
         if self.few.is_some() {
