@@ -11,7 +11,7 @@ use std::sync::Arc;
 use tract_onnx::pb::tensor_proto::{DataLocation, DataType};
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::type_proto::Value as TypeValue;
-use tract_onnx::pb::{GraphProto, ModelProto, TensorProto};
+use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, TensorProto};
 use tract_onnx::prelude::*;
 
 use crate::Error;
@@ -205,6 +205,7 @@ fn check_nodes(graph: &GraphProto) -> Result<(), String> {
         .sparse_initializer
         .iter()
         .filter_map(|tensor| Some(&tensor.values.as_ref()?.name));
+    check_bits(graph)?;
     let mut there: HashSet<&str> = inputs
         .chain(weights)
         .chain(sparse)
@@ -238,6 +239,28 @@ fn check_nodes(graph: &GraphProto) -> Result<(), String> {
                     node.op_type, node.name, attribute.name
                 ));
             }
+        }
+    }
+    Ok(())
+}
+
+/// Quantization is to 8 bits, of biases to 32.
+fn check_bits(graph: &GraphProto) -> Result<(), String> {
+    let taken = [DataType::Uint8, DataType::Int8, DataType::Int32].map(|t| t as i32);
+    let quantizes =
+        |node: &&NodeProto| matches!(node.op_type.as_str(), "QuantizeLinear" | "DequantizeLinear");
+    for node in graph.node.iter().filter(quantizes) {
+        let zero = graph
+            .initializer
+            .iter()
+            .find(|tensor| node.input.get(2) == Some(&tensor.name));
+        if let Some(zero) = zero.filter(|zero| !taken.contains(&zero.data_type)) {
+            let kind = DataType::try_from(zero.data_type)
+                .map_or("a type without a name", |t| t.as_str_name());
+            return Err(format!(
+                "its node {} `{}` is of {kind}; quantize to 8 bits",
+                node.op_type, node.name
+            ));
         }
     }
     Ok(())
@@ -619,7 +642,7 @@ pub(crate) fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, Str
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
-    use tract_onnx::pb::{NodeProto, type_proto};
+    use tract_onnx::pb::type_proto;
 
     use super::*;
 
@@ -776,6 +799,22 @@ mod tests {
         ] {
             let refused = changed.expect_err("not the contract's");
             assert!(refused.contains(says), "{refused}");
+        }
+        for (kind, says) in [(DataType::Uint16, "UINT16"), (DataType::Int4, "INT4")] {
+            let mut model = shipped("baseline-int8.onnx");
+            let graph = model.proto.graph.as_mut().expect("a graph");
+            let quantize = graph.node.iter().find(|n| n.op_type == "QuantizeLinear");
+            let zero = quantize.expect("a quantized model").input[2].clone();
+            let mut weights = graph.initializer.iter_mut();
+            weights
+                .find(|t| t.name == zero)
+                .expect("a zero point")
+                .data_type = kind as i32;
+            let refused = check_nodes(graph).expect_err("not 8 bits");
+            assert!(
+                refused.contains(says) && refused.contains("8 bits"),
+                "{refused}"
+            );
         }
         let mut model = shipped("baseline-f32.onnx");
         let graph = model.proto.graph.as_mut().expect("a graph");
