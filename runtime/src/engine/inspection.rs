@@ -157,6 +157,7 @@ fn name(layer: &Layer) -> &'static str {
         Operation::GlobalAveragePool => "global average pool",
         Operation::Pad(_) => "pad",
         Operation::Flatten => "flatten",
+        Operation::DepthToSpace(_) => "depth to space",
         Operation::Elementwise(_) => "elementwise, f32",
     }
 }

@@ -19,7 +19,7 @@
 //! - bilinear resize: `rne((interpolation of (x - z_i), along x first) s_i/s_o) + z_o`.
 //! - average: `rne(sum (x - z_i) (s_i / s_o / n)) + z_o`.
 //! - ReLU and Clip after any of these: `[low, high]`, since quantization is monotonic.
-//! - padding, spreading, flattening: bytes in other places, through a table where the scale changes.
+//! - padding, spreading, flattening, depth to space: bytes in other places, through a table where the scale changes.
 //! - a transposed convolution: a spread (`s - 1` zero points between pixels) and a convolution with mirrored taps.
 //! - anything else that goes element by element ([`super::expression`]): in f32, in the graph's own order, then quantized.
 //!
@@ -133,6 +133,8 @@ pub(crate) enum Operation {
     Pad(Pad),
     /// Channels, rows and columns, in this order, as channels of one pixel.
     Flatten,
+    /// Channels as pixels: PixelShuffle.
+    DepthToSpace(DepthToSpace),
     /// What goes element by element, broadcast.
     Elementwise(Expression),
 }
@@ -294,6 +296,30 @@ impl Pad {
             at.map(|at| at as usize)
         };
         Ok((0..self.output(axis, input)?).map(source).collect())
+    }
+}
+
+/// Each pixel becomes a square of `block` x `block` pixels, of which each takes its part of the channels.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct DepthToSpace {
+    /// Rows and columns of a square.
+    pub(crate) block: usize,
+    /// Whether the channels of one pixel are together (ONNX's DCR), or those of one channel (CRD).
+    pub(crate) pixels_together: bool,
+}
+
+impl DepthToSpace {
+    /// The input's channel of every output's `[row of the square][column of the square][channel]`.
+    pub(crate) fn sources(&self, channels: usize) -> Vec<usize> {
+        let squares = self.block * self.block;
+        let outputs = channels / squares;
+        (0..squares)
+            .flat_map(|place| (0..outputs).map(move |channel| (place, channel)))
+            .map(|(place, channel)| match self.pixels_together {
+                true => place * outputs + channel,
+                false => channel * squares + place,
+            })
+            .collect()
     }
 }
 
@@ -520,6 +546,13 @@ impl Layer {
             Operation::Quantize | Operation::Dequantize | Operation::Table(_) => inputs[0],
             Operation::Pad(pad) => with(channels, [pad.output(0, height)?, pad.output(1, width)?]),
             Operation::Flatten => with(channels * height * width, [1, 1]),
+            Operation::DepthToSpace(DepthToSpace { block, .. }) => {
+                let squares = block * block;
+                if channels % squares != 0 {
+                    return Err(format!("{channels} channels are no multiple of {squares}"));
+                }
+                with(channels / squares, size.map(|side| side * block))
+            }
             Operation::Convolution(convolution) => {
                 if channels != convolution.inputs {
                     return Err(format!(

@@ -108,6 +108,7 @@ fn describe(operation: &Operation) -> String {
         Operation::Concat => "concat",
         Operation::Pad(_) => "pad",
         Operation::Flatten => "flatten",
+        Operation::DepthToSpace(_) => "depth to space",
         Operation::Elementwise(_) => "elementwise",
         Operation::Table(_) => "table",
         Operation::Resize(_) => "resize",

@@ -14,6 +14,7 @@ use super::recognize::graph::{Reader, float, input, integer, text};
 
 /// Operators that take bytes and give them back in other places.
 const MOVES: &[&str] = &[
+    "DepthToSpace",
     "Flatten",
     "MaxPool",
     "Pad",

@@ -78,7 +78,7 @@ use few::Few;
 use neon::depthwise::Interleaved;
 pub(crate) use portable::{
     Halves, ResizedRow, average_row, channel_row, copy_row, dequantize_row, flatten, max_row,
-    multiply_row, pad_row, quantize_row, saturate_channel, store_channel,
+    multiply_row, pad_row, quantize_row, saturate_channel, spread_row, store_channel,
 };
 
 /// Lanes of a block of output channels.

@@ -233,6 +233,26 @@ pub(crate) fn flatten(
     }
 }
 
+/// A row of pixels, each as one row of a square of pixels whose channels `sources` names, square column by square column, through a
+/// table.
+pub(crate) fn spread_row(
+    input: &[u8],
+    sources: &[usize],
+    channels: usize,
+    pitches: [usize; 2],
+    table: &[u8; 256],
+    out: &mut [u8],
+) {
+    let mut pixels = out.chunks_exact_mut(pitches[1]);
+    for pixel in input.chunks_exact(pitches[0]) {
+        for (sources, out) in sources.chunks_exact(channels).zip(&mut pixels) {
+            for (out, &source) in out.iter_mut().zip(sources) {
+                *out = table[usize::from(pixel[source])];
+            }
+        }
+    }
+}
+
 /// A function of every byte.
 fn table_row(table: &[u8; 256], input: &[u8], out: &mut [u8]) {
     for (out, &byte) in out.iter_mut().zip(input) {

@@ -356,6 +356,7 @@ impl<'a> Reader<'a> {
             }
             "Resize" => first(Operation::Resize(self.resize(node, nodes)?))?,
             "Pad" => first(Operation::Pad(self.pad(node, nodes)?))?,
+            "DepthToSpace" => first(Operation::DepthToSpace(window::depth_to_space(node)?))?,
             "MaxPool" => first(Operation::MaxPool(window::pool(node)?))?,
             "AveragePool" => {
                 let counts_padding = integer(node, "count_include_pad", 0) != 0;

@@ -4,7 +4,9 @@ use tract_onnx::pb::NodeProto;
 
 use super::Found;
 use super::graph::{Reader, attribute, input, integer, sizes, text};
-use crate::engine::layer::{Coordinates, Fill, Nearest, Pad, Padding, Resize, Target, Window};
+use crate::engine::layer::{
+    Coordinates, DepthToSpace, Fill, Nearest, Pad, Padding, Resize, Target, Window,
+};
 
 /// That a window reaches over, that are added on one side, or that a side is resized to.
 const MOST_PIXELS: usize = 16384;
@@ -20,6 +22,22 @@ pub(super) fn moving_window(node: &NodeProto, kernel: Option<[usize; 2]>) -> Fou
         return Err("it pads by as much as it reaches over".into());
     }
     Ok(window)
+}
+
+pub(super) fn depth_to_space(node: &NodeProto) -> Found<DepthToSpace> {
+    let block = integer(node, "blocksize", 0);
+    let pixels_together = match text(node, "mode", "DCR") {
+        Some("DCR") => true,
+        Some("CRD") => false,
+        _ => return Err("its mode is neither DCR nor CRD".into()),
+    };
+    match usize::try_from(block) {
+        Ok(block @ 1..=64) => Ok(DepthToSpace {
+            block,
+            pixels_together,
+        }),
+        _ => Err(format!("its blocksize is {block}, not 1 to 64").into()),
+    }
 }
 
 /// The window of a pool.

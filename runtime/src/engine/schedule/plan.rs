@@ -266,9 +266,11 @@ impl Plan<'_> {
         let zero = from[0].zero;
         let written = self.buffers.get(layer.output.as_str());
         let out_pitch = written.map_or(0, |buffer| buffer.pitch);
-        if !matches!(operation, Operation::Concat | Operation::Flatten)
-            && reads.iter().any(|read| read.pitch != out_pitch)
-        {
+        let other_channels = matches!(
+            operation,
+            Operation::Concat | Operation::Flatten | Operation::DepthToSpace(_)
+        );
+        if !other_channels && reads.iter().any(|read| read.pitch != out_pitch) {
             return Err(format!(
                 "`{}` has an input of four channels or fewer",
                 layer.output
@@ -319,6 +321,11 @@ impl Plan<'_> {
                 table: table(),
             },
             Operation::Flatten => Work::Flatten(table()),
+            Operation::DepthToSpace(spread) => Work::DepthToSpace {
+                block: spread.block,
+                sources: spread.sources(reads[0].channels),
+                table: table(),
+            },
             Operation::MaxPool(window) => Work::MaxPool {
                 window: window.clone(),
                 placed: window.place(size)?,

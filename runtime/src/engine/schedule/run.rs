@@ -7,7 +7,8 @@ use super::super::arena::{Arena, Shared};
 use super::super::expression::Expression;
 use super::super::kernels::{
     Halves, Kernel, Part, ResizedRow, Row, average_row, channel_row, copy_row, dequantize_row,
-    flatten, max_row, multiply_row, pad_row, quantize_row, saturate_channel, store_channel,
+    flatten, max_row, multiply_row, pad_row, quantize_row, saturate_channel, spread_row,
+    store_channel,
 };
 use super::super::layer::{Between, Shape, Window};
 use super::super::threads::Member;
@@ -285,6 +286,23 @@ impl Run<'_> {
                         out,
                     );
                 }
+            }
+            Work::DepthToSpace {
+                block,
+                sources,
+                table,
+            } => {
+                let read = &step.reads[0];
+                let of_row = sources.chunks_exact(block * buffer.channels).nth(y % block);
+                out.fill(buffer.zero);
+                spread_row(
+                    self.read(read.row(y / block)),
+                    of_row.unwrap_or_default(),
+                    buffer.channels,
+                    [read.pitch, buffer.pitch],
+                    table,
+                    out,
+                );
             }
             Work::Elementwise {
                 expression,

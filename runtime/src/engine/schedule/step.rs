@@ -61,6 +61,11 @@ pub(super) enum Work {
         table: Box<[u8; 256]>,
     },
     Flatten(Box<[u8; 256]>),
+    DepthToSpace {
+        block: usize,
+        sources: Vec<usize>,
+        table: Box<[u8; 256]>,
+    },
     /// To bytes, or where there is no such buffer to planes of f32.
     Elementwise {
         expression: Expression,

@@ -375,6 +375,59 @@ fn convolutions_of_few_outputs_are_the_nearest_step() {
     }
 }
 
+/// PixelShuffle, in both orders of channels, also where the steps change and what is below zero is cut off.
+#[test]
+fn channels_as_pixels_are_the_nearest_step() {
+    let mut numbers = Numbers(47);
+    for case in 0..12 {
+        let block = 2 + case % 2;
+        let outs = [1, 5, 24][case / 4];
+        let [height, width] = [1 + numbers.below(4), 1 + numbers.below(9)];
+        let shape = [outs * block * block, height, width];
+        let from = Steps {
+            signed: case % 3 == 0,
+            zero: [7, 90][case % 2],
+            scale: 0.03,
+        };
+        let relu = case % 4 == 3;
+        let out = Steps {
+            scale: [0.03, 0.05][case / 2 % 2],
+            ..from
+        };
+        let input = on_grid(&mut numbers, from, shape.iter().product());
+        let mut b = Builder::new(shape);
+        let x = b.quantized("x", from);
+        let columns_first = case % 4 >= 2;
+        let mut attributes = vec![int("blocksize", block)];
+        if columns_first {
+            attributes.push(text("mode", "CRD"));
+        }
+        let mut y = b.node("DepthToSpace", &[&x], attributes);
+        if relu {
+            y = b.node("Relu", &[&y], vec![]);
+        }
+        let y = b.quantized(&y, out);
+        let mut real = Vec::new();
+        for channel in 0..outs {
+            for v in 0..height * block {
+                for u in 0..width * block {
+                    // As ONNX's operator says it: reshape, transpose, reshape.
+                    let (row, column) = (v % block, u % block);
+                    let from = if columns_first {
+                        (channel * block + row) * block + column
+                    } else {
+                        (row * block + column) * outs + channel
+                    };
+                    let value = input[(from * height + v / block) * width + u / block];
+                    real.push(f64::from(if relu { value.max(0.0) } else { value }));
+                }
+            }
+        }
+        let case = format!("case {case}: {shape:?} by {block}");
+        check(&b.finish(&[&y]), shape, &input, out, &real, &case);
+    }
+}
+
 /// The largest products that there are, all of one sign: some kernels add two of them in 16 bits.
 #[test]
 fn extreme_bytes_and_weights_are_the_nearest_step() {
