@@ -7,7 +7,7 @@ use gedepth::gedepth_core::{Angle, Direction, Error, Ground};
 use crate::calibration::gedepth_calibration;
 use crate::camera::gedepth_camera;
 use crate::memory::{Array, check_disjoint, look, read};
-use crate::result::{Failure, Result, guarded};
+use crate::result::{Result, guarded};
 
 /// The ground as a camera sees it.
 #[repr(C)]
@@ -33,12 +33,6 @@ impl From<Ground> for gedepth_ground {
             down: ground.down().vector().to_array(),
             height: ground.height(),
         }
-    }
-}
-
-impl From<Error> for Failure {
-    fn from(error: Error) -> Self {
-        Self::new(error.code().into(), format_args!("{error}"))
     }
 }
 

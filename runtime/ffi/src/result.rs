@@ -45,6 +45,12 @@ impl From<gedepth::Error> for Failure {
     }
 }
 
+impl From<gedepth::gedepth_core::Error> for Failure {
+    fn from(error: gedepth::gedepth_core::Error) -> Self {
+        Self::new(error.code().into(), format_args!("{error}"))
+    }
+}
+
 /// Longest text of an error, bytes, the closing zero included.
 const TEXT_LEN: usize = 512;
 
