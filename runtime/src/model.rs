@@ -1,6 +1,6 @@
 //! A model: an ONNX file and the contract in its metadata.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
@@ -247,15 +247,18 @@ fn check_nodes(graph: &GraphProto) -> Result<(), String> {
 /// Quantization is to 8 bits, of biases to 32.
 fn check_bits(graph: &GraphProto) -> Result<(), String> {
     let taken = [DataType::Uint8, DataType::Int8, DataType::Int32].map(|t| t as i32);
-    let types = graph.initializer.iter().map(|t| (&t.name, t.data_type));
-    let types: HashMap<&String, i32> = types.collect();
+    let other = |tensor: &&TensorProto| !taken.contains(&tensor.data_type);
+    let others = graph.initializer.iter().filter(other);
+    let names: HashSet<&str> = others.clone().map(|tensor| tensor.name.as_str()).collect();
     let quantizes =
         |node: &&NodeProto| matches!(node.op_type.as_str(), "QuantizeLinear" | "DequantizeLinear");
     for node in graph.node.iter().filter(quantizes) {
-        let zero = node.input.get(2).and_then(|name| types.get(name));
-        if let Some(&zero) = zero.filter(|zero| !taken.contains(zero)) {
-            let kind =
-                DataType::try_from(zero).map_or("a type without a name", |t| t.as_str_name());
+        let zero = node.input.get(2).map_or("", String::as_str);
+        if names.contains(zero)
+            && let Some(zero) = others.clone().find(|tensor| tensor.name == zero)
+        {
+            let kind = DataType::try_from(zero.data_type)
+                .map_or("a type without a name", |t| t.as_str_name());
             return Err(format!(
                 "its node {} `{}` is of {kind}; quantize to 8 bits",
                 node.op_type, node.name
