@@ -77,8 +77,8 @@ use few::Few;
 #[cfg(target_arch = "aarch64")]
 use neon::depthwise::Interleaved;
 pub(crate) use portable::{
-    Halves, ResizedRow, average_row, channel_row, copy_row, dequantize_row, flatten, max_row,
-    multiply_row, pad_row, quantize_row, saturate_channel, spread_row, store_channel,
+    Halves, average_row, channel_row, copy_row, dequantize_row, flatten, max_row, multiply_row,
+    pad_row, quantize_row, resize_row, saturate_channel, spread_row, store_channel,
 };
 
 /// Lanes of a block of output channels.

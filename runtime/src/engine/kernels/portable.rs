@@ -4,7 +4,6 @@ use std::ops::Range;
 
 use super::{Addition, BLOCK, Dense, Depthwise, Part, Row, ToBytes};
 use crate::engine::layer::{Between, Quantization, saturate};
-use crate::vectors::Loops;
 
 /// Accumulators of one block of one pixel.
 fn accumulate(
@@ -318,53 +317,39 @@ fn copy_pixels<const PITCH: usize>(input: &[u8], columns: &[Between], out: &mut 
 }
 
 /// A row of a bilinear resize of pixels of a multiple of [`BLOCK`] bytes.
-pub(crate) struct ResizedRow<'a> {
-    pub(crate) halves: Halves<'a>,
-    pub(crate) columns: &'a [Between],
-    pub(crate) pitch: usize,
-    pub(crate) zero: u8,
-    pub(crate) factor: f32,
-    pub(crate) to: &'a ToBytes,
-    pub(crate) out: &'a mut [u8],
-}
-
-impl Loops for ResizedRow<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self {
-            halves,
-            pitch,
-            factor,
-            to,
-            ..
-        } = self;
-        let zero = i32::from(self.zero);
-        // As in `multiply_row`.
-        let (to_zero, range) = (to.zero, to.range.clone());
-        let down = [1.0 - halves.weight, halves.weight];
-        for (column, out) in self.columns.iter().zip(self.out.chunks_exact_mut(pitch)) {
-            let pixel = |row: usize, at: usize| {
-                let pixel = &halves.rows[row][at * pitch..][..pitch];
-                pixel.as_chunks::<BLOCK>().0
-            };
-            let right = [1.0 - column.weight, column.weight];
-            let corners = |row| {
-                pixel(row, column.first)
-                    .iter()
-                    .zip(pixel(row, column.second))
-            };
-            let blocks = out.as_chunks_mut::<BLOCK>().0.iter_mut();
-            for ((out, upper), lower) in blocks.zip(corners(0)).zip(corners(1)) {
-                for (lane, out) in out.iter_mut().enumerate() {
-                    let value = |pixel: &[u8; BLOCK]| (i32::from(pixel[lane]) - zero) as f32;
-                    let along = |(first, second): (&[u8; BLOCK], &[u8; BLOCK])| {
-                        value(first) * right[0] + value(second) * right[1]
-                    };
-                    let between = along(upper) * down[0] + along(lower) * down[1];
-                    *out = saturate(between * factor, to_zero, &range);
-                }
+pub(crate) fn resize_row(
+    halves: Halves<'_>,
+    columns: &[Between],
+    pitch: usize,
+    zero: u8,
+    factor: f32,
+    to: &ToBytes,
+    out: &mut [u8],
+) {
+    let zero = i32::from(zero);
+    // As in `multiply_row`.
+    let (to_zero, range) = (to.zero, to.range.clone());
+    let down = [1.0 - halves.weight, halves.weight];
+    for (column, out) in columns.iter().zip(out.chunks_exact_mut(pitch)) {
+        let pixel = |row: usize, at: usize| {
+            let pixel = &halves.rows[row][at * pitch..][..pitch];
+            pixel.as_chunks::<BLOCK>().0
+        };
+        let right = [1.0 - column.weight, column.weight];
+        let corners = |row| {
+            pixel(row, column.first)
+                .iter()
+                .zip(pixel(row, column.second))
+        };
+        let blocks = out.as_chunks_mut::<BLOCK>().0.iter_mut();
+        for ((out, upper), lower) in blocks.zip(corners(0)).zip(corners(1)) {
+            for (lane, out) in out.iter_mut().enumerate() {
+                let value = |pixel: &[u8; BLOCK]| (i32::from(pixel[lane]) - zero) as f32;
+                let along = |(first, second): (&[u8; BLOCK], &[u8; BLOCK])| {
+                    value(first) * right[0] + value(second) * right[1]
+                };
+                let between = along(upper) * down[0] + along(lower) * down[1];
+                *out = saturate(between * factor, to_zero, &range);
             }
         }
     }

@@ -6,8 +6,8 @@ use std::sync::{Mutex, PoisonError};
 use super::super::arena::{Arena, Shared};
 use super::super::expression::Expression;
 use super::super::kernels::{
-    Halves, Kernel, Part, ResizedRow, Row, average_row, channel_row, copy_row, dequantize_row,
-    flatten, max_row, multiply_row, pad_row, quantize_row, saturate_channel, spread_row,
+    Halves, Kernel, Part, Row, average_row, channel_row, copy_row, dequantize_row, flatten,
+    max_row, multiply_row, pad_row, quantize_row, resize_row, saturate_channel, spread_row,
     store_channel,
 };
 use super::super::layer::{Between, Shape, Window};
@@ -15,7 +15,6 @@ use super::super::threads::Member;
 use super::buffer::{Buffer, Taps, between_borders};
 use super::memory::Planes;
 use super::step::{Source, Step, Work};
-use crate::vectors::widest;
 
 /// Which row a member makes.
 #[derive(Clone, Copy, Debug)]
@@ -368,15 +367,7 @@ impl Run<'_> {
                         rows: [row(first), row(second)],
                         weight,
                     };
-                    widest(ResizedRow {
-                        halves,
-                        columns,
-                        pitch: buffer.pitch,
-                        zero: *zero,
-                        factor: *factor,
-                        to,
-                        out,
-                    });
+                    resize_row(halves, columns, buffer.pitch, *zero, *factor, to, out);
                 }
             }
             Work::MaxPool {
