@@ -7,7 +7,10 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 
 use gedepth::gedepth_core::Ground;
-use gedepth::{Calibration, Engine, Estimator, Kernel, Model, OutputSize, Picture, picture};
+use gedepth::{
+    Calibration, Distortion, Engine, Estimator, Kernel, Model, Numbers, OutputSize, Picture,
+    picture,
+};
 
 /// The system's allocator, counting.
 struct Counting;
@@ -85,4 +88,19 @@ fn a_picture_costs_no_allocation() {
             }
         }
     }
+
+    // Of a lens there are tables, which are made anew.
+    let numbers = Numbers {
+        distortion: Distortion::Equidistant([0.02, -0.003, 0.0, 0.0]),
+        ..Numbers::read(&scene.join("calibration.json")).expect("its calibration")
+    };
+    let fisheye = Calibration::new(&scene, &numbers).expect("a camera");
+    let model = Model::embedded().expect("the embedded model");
+    let (size, output) = (Some((320, 96)), OutputSize::Picture);
+    let mut estimator =
+        Estimator::new(&model, &fisheye, picture.size(), size, output).expect("an estimator");
+    let before = ALLOCATIONS.load(SeqCst);
+    estimator.set_ground(&lower).expect("a ground");
+    estimator.run(picture).expect("depth");
+    assert_eq!(ALLOCATIONS.load(SeqCst) - before, 0, "of a lens");
 }
