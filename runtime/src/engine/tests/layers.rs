@@ -375,6 +375,54 @@ fn convolutions_of_few_outputs_are_the_nearest_step() {
     }
 }
 
+/// An attention that is quantized before and after its sigmoid: the head's rows are made for the table, one by one, and have no step of
+/// their own.
+#[test]
+fn a_head_of_few_outputs_is_made_row_by_row_for_its_function() {
+    let mut numbers = Numbers(53);
+    let shape = [16, 4, 40];
+    let from = Steps {
+        signed: false,
+        zero: 77,
+        scale: 0.02,
+    };
+    let mut b = Builder::new(shape);
+    let x = b.quantized("x", from);
+    let (_, w) = weights(&mut b, &mut numbers, &[1, 16, 3, 3], 0, 128, &[0.004]);
+    let y = b.node("Conv", &[&x, &w], vec![ints("pads", &[1; 4])]);
+    let y = b.quantized(
+        &y,
+        Steps {
+            zero: 128,
+            scale: 0.1,
+            ..from
+        },
+    );
+    let y = b.node("Sigmoid", &[&y], vec![]);
+    let y = b.quantized(
+        &y,
+        Steps {
+            zero: 0,
+            scale: 1.0 / 256.0,
+            ..from
+        },
+    );
+    let model = b.finish(&[&y]);
+    let input = on_grid(&mut numbers, from, shape.iter().product());
+    let made = |kernel, threads| {
+        let (outputs, rest) = run(&model, Engine::Quantized { kernel, threads }, shape, &input);
+        assert_eq!(rest, 0, "{kernel:?}");
+        outputs
+    };
+    let expected = made(Kernel::Portable, 1);
+    assert!(expected[0].iter().any(|&m| m > 0.1 && m < 0.9));
+    for kernel in kernels() {
+        for threads in [1, 2] {
+            assert_eq!(made(kernel, threads), expected, "{kernel:?} on {threads}");
+        }
+    }
+}
+
 /// PixelShuffle, in both orders of channels, also where the steps change and what is below zero is cut off.
 #[test]
 fn channels_as_pixels_are_the_nearest_step() {
