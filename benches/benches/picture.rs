@@ -1,5 +1,6 @@
 //! From picture bytes to depth, stage by stage: baseline, vanilla and adaptive side by side, int8, at three sizes, on one
-//! thread and on two. Picture, network and depth have the same size, so that nothing is resampled. And what another ground costs.
+//! thread and on two. Picture, network and depth have the same size, so that nothing is resampled. And what a camera's own pixel format costs, and
+//! another ground.
 #![allow(missing_docs, clippy::expect_used)]
 
 use std::path::Path;
@@ -8,7 +9,7 @@ use std::time::Duration;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use gedepth::{
     Calibration, Distortion, Engine, Estimator, Kernel, Model, Numbers, OutputSize, Picture,
-    StageTimes,
+    PixelFormat, Plane, StageTimes, Yuv,
 };
 
 const MODES: [&str; 3] = ["baseline", "vanilla", "adaptive"];
@@ -72,6 +73,52 @@ fn stages(criterion: &mut Criterion) {
     }
 }
 
+/// What a camera's own format costs: of a picture of 1280x720, resampled to 640x352.
+fn formats(criterion: &mut Criterion) {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
+    let path = fixtures.join("scenes/hill/calibration.json");
+    let calibration = Calibration::read(&path).expect("its calibration");
+    let size = (1280, 720);
+    let bytes: Vec<u8> = (0..4 * size.0 * size.1)
+        .map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
+        .collect();
+    let mut group = criterion.benchmark_group("preprocess by format, 1280x720");
+    group.sample_size(20);
+    for threads in [1, 2] {
+        let kernel = Kernel::best();
+        let model = Model::embedded().expect("the embedded model");
+        let model = model.with_engine(Engine::Quantized { kernel, threads });
+        let mut estimator = Estimator::new(&model, &calibration, size, None, OutputSize::Network)
+            .expect("an estimator");
+        let yuv = Yuv::Bt709Limited;
+        for format in [
+            PixelFormat::Rgb,
+            PixelFormat::Bgr,
+            PixelFormat::Bgrx,
+            PixelFormat::Grey,
+            PixelFormat::Uyvy(yuv),
+            PixelFormat::Nv12(yuv),
+        ] {
+            let planes = format.planes(size).map(|(row, _)| Plane {
+                bytes: &bytes,
+                stride: row as usize,
+            });
+            let count = 1 + usize::from(planes[1].stride > 0);
+            let picture =
+                Picture::with_format(size, format, &planes[..count]).expect("enough bytes");
+            let id = BenchmarkId::new(format!("{format:?}"), format!("{threads} threads"));
+            group.bench_function(id, |bencher| {
+                bencher.iter_custom(|runs| {
+                    (0..runs)
+                        .map(|_| estimator.run(picture).expect("depth").times.preprocess)
+                        .sum()
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
 /// What a new pitch or height costs between two pictures.
 fn another_ground(criterion: &mut Criterion) {
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
@@ -105,5 +152,5 @@ fn another_ground(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, stages, another_ground);
+criterion_group!(benches, stages, formats, another_ground);
 criterion_main!(benches);

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::contract::ContractError;
+use crate::pixel_format::PixelFormat;
 
 /// An error of the runtime.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +35,26 @@ pub enum Error {
         actual: (u32, u32),
         /// Width and height that the calibration was made for.
         expected: (u32, u32),
+    },
+    /// A picture's bytes are not those of its size and format.
+    #[error(
+        "the picture of {size:?} (width, height), {format:?}, has in plane {plane} {rows} rows of {row} bytes, but {bytes} bytes with a stride of {stride} are given; the stride must be at least a row, and all rows, the last without padding, must be there"
+    )]
+    PictureBytes {
+        /// Width and height of the picture, pixels.
+        size: (u32, u32),
+        /// What the bytes are to be.
+        format: PixelFormat,
+        /// The plane that is wrong: 0, or 1 for chroma.
+        plane: usize,
+        /// Rows that it has; 0 where there is no such plane.
+        rows: u64,
+        /// Bytes of a row.
+        row: u64,
+        /// How many bytes are given.
+        bytes: usize,
+        /// From the start of a row to the start of the next, bytes.
+        stride: usize,
     },
     /// The picture cannot be brought to the network's size.
     #[error("the picture of {actual:?} (width, height) does not fit the network: {reason}")]
@@ -155,6 +176,7 @@ impl Error {
             Error::NetworkSize { .. } => 805,
             Error::Cores { .. } => 806,
             Error::Engine { .. } => 807,
+            Error::PictureBytes { .. } => 808,
             Error::CalibrationRead { .. } => 821,
             Error::CalibrationFormat { .. } => 822,
             Error::Calibration { reason, .. } => reason.code(),
@@ -174,7 +196,10 @@ impl Error {
             Error::NetworkSize { .. } | Error::Cores { .. } | Error::Engine { .. } => 2,
             #[cfg(feature = "files")]
             Error::PictureDecode { .. } => 3,
-            Error::PictureRead { .. } | Error::PictureSize { .. } | Error::PictureUnfit { .. } => 3,
+            Error::PictureRead { .. }
+            | Error::PictureSize { .. }
+            | Error::PictureBytes { .. }
+            | Error::PictureUnfit { .. } => 3,
             Error::CalibrationRead { .. }
             | Error::CalibrationFormat { .. }
             | Error::Calibration { .. } => 4,
@@ -243,6 +268,18 @@ mod tests {
                 },
             ),
             (807, Error::Engine { reason: reason() }),
+            (
+                808,
+                Error::PictureBytes {
+                    size,
+                    format: PixelFormat::Rgb,
+                    plane: 0,
+                    rows: 1,
+                    row: 3,
+                    bytes: 0,
+                    stride: 0,
+                },
+            ),
             (
                 821,
                 Error::CalibrationRead {

@@ -16,8 +16,9 @@ use crate::ground::PixelGround;
 use crate::heads::{fuse, outputs};
 use crate::inspection::PlanKind;
 use crate::model::{Model, Network, Size};
+use crate::pixel_format::Picture;
 use crate::plausibility::Plausibility;
-use crate::preprocess::{Picture, Placement, Preprocessor};
+use crate::preprocess::{Placement, Preprocessor};
 
 /// Longest side of a picture, pixels.
 pub(crate) const MAX_SIDE: u32 = 16384;
@@ -197,6 +198,11 @@ impl Estimator {
         &self.placement
     }
 
+    /// Width and height of the maps.
+    pub fn map_size(&self) -> Size {
+        (self.output.width(), self.output.height())
+    }
+
     /// The ground that the next picture is fused with: the calibration's, unless [`Self::set_ground`] gave another.
     pub fn ground(&self) -> &Ground {
         &self.ground
@@ -303,7 +309,7 @@ impl Estimator {
         self.fuse(false)?;
         let fused = Instant::now();
         Ok(Estimate {
-            size: (self.output.width(), self.output.height()),
+            size: self.map_size(),
             placement: self.placement,
             depth: &self.depth,
             times: StageTimes {

@@ -8,41 +8,9 @@ use crate::Error;
 use crate::contract::{Channel, Contract, Fit, GroundChannel};
 use crate::engine::Entrance;
 use crate::model::{MAX_PIXELS, Model, Size};
+use crate::pixel_format::Picture;
 use crate::resample::{Resampler, Scratch};
 use crate::vectors::{Loops, widest};
-
-/// A picture: RGB, 8 bits, row by row from the top left, without padding.
-#[derive(Clone, Copy, Debug)]
-pub struct Picture<'a> {
-    size: Size,
-    rgb: &'a [u8],
-}
-
-impl<'a> Picture<'a> {
-    /// A picture over `3 * width * height` bytes; `None` if there are more or fewer, or none.
-    pub fn new((width, height): Size, rgb: &'a [u8]) -> Option<Self> {
-        let bytes = u128::from(width) * u128::from(height) * 3;
-        (bytes > 0 && rgb.len() as u128 == bytes).then_some(Self {
-            size: (width, height),
-            rgb,
-        })
-    }
-
-    /// Width and height, pixels.
-    pub fn size(&self) -> Size {
-        self.size
-    }
-}
-
-#[cfg(feature = "files")]
-impl<'a> From<&'a image::RgbImage> for Picture<'a> {
-    fn from(image: &'a image::RgbImage) -> Self {
-        Self {
-            size: image.dimensions(),
-            rgb: image.as_raw(),
-        }
-    }
-}
 
 /// Which part of the picture the network sees, and at which size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -290,7 +258,7 @@ impl Preprocessor {
             .unwrap_or_else(PoisonError::into_inner);
         widest(ResampledRow {
             resampler: &self.resampler,
-            rgb: picture.rgb,
+            picture,
             y,
             scratch: &mut scratch,
             put,
@@ -301,7 +269,7 @@ impl Preprocessor {
 /// A row to resample.
 struct ResampledRow<'a, P> {
     resampler: &'a Resampler,
-    rgb: &'a [u8],
+    picture: Picture<'a>,
     y: usize,
     scratch: &'a mut Scratch,
     put: P,
@@ -312,7 +280,8 @@ impl<P: FnMut(usize, [u8; 3])> Loops for ResampledRow<'_, P> {
 
     #[inline(always)]
     fn run(self) {
-        self.resampler.row(self.rgb, self.y, self.scratch, self.put);
+        self.resampler
+            .row(&self.picture, self.y, self.scratch, self.put);
     }
 }
 

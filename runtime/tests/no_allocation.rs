@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 use gedepth::gedepth_core::Ground;
 use gedepth::{
     Calibration, Distortion, Engine, Estimator, Kernel, Model, Numbers, OutputSize, Picture,
-    picture,
+    PixelFormat, Plane, Yuv, picture,
 };
 
 /// The system's allocator, counting.
@@ -46,6 +46,16 @@ fn a_picture_costs_no_allocation() {
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/street");
     let image = picture::read(&scene.join("image.png")).expect("the shipped picture");
     let picture = Picture::from(&image);
+    // Its bytes as another format's, whatever they then show.
+    let (width, height) = image.dimensions();
+    let (luma, chroma) = image.as_raw().split_at((width * height) as usize);
+    let planes =
+        [(luma, width), (chroma, width.next_multiple_of(2))].map(|(bytes, stride)| Plane {
+            bytes,
+            stride: stride as usize,
+        });
+    let nv12 = PixelFormat::Nv12(Yuv::Bt709Limited);
+    let nv12 = Picture::with_format((width, height), nv12, &planes).expect("a picture");
     let calibration = Calibration::read(&scene.join("calibration.json")).expect("its calibration");
     let ground = calibration.ground();
     let lower = Ground::new(ground.down(), 0.9 * ground.height()).expect("a ground");
@@ -72,6 +82,7 @@ fn a_picture_costs_no_allocation() {
                 // Ground and attention, made when asked for, are made beside the same depth.
                 let depth = estimator.maps().expect("maps").depth;
                 assert_eq!(depth[0], once);
+                estimator.run(nv12).expect("depth");
                 // Another ground, and the first one again.
                 for ground in [&lower, calibration.ground()] {
                     estimator.set_ground(ground).expect("a ground");

@@ -4,7 +4,10 @@
 
 use std::path::Path;
 
-use gedepth::{Calibration, Distortion, Estimator, Model, Numbers, OutputSize, Picture, picture};
+use gedepth::{
+    Calibration, Distortion, Estimator, Model, Numbers, OutputSize, Picture, PixelFormat, Plane,
+    Yuv, picture,
+};
 use gedepth_tests::{abs_rel, depth, folders, real_data, root, shipped_scenes};
 
 /// The farthest depth that counts, metres, as on KITTI.
@@ -163,6 +166,72 @@ fn residual_over_the_focal_length_is_times_that_of_the_networks_input() {
         }
     }
     assert!(compared > 10_000, "{compared}");
+}
+
+/// A camera's own format is as good as red, green, blue: the same bytes where it has the same values; and of NV12, which has a
+/// quarter of the colours, much the same depth.
+#[test]
+fn depth_is_the_same_in_every_format() {
+    let street = root().join("fixtures/scenes/street");
+    let image = picture::read(&gedepth_tests::picture(&street)).expect("a picture");
+    let calibration = Calibration::read(&street.join("calibration.json")).expect("a calibration");
+    let size = image.dimensions();
+    let pixels: Vec<[u8; 3]> = image.pixels().map(|pixel| pixel.0).collect();
+    let bgrx: Vec<u8> = pixels.iter().flat_map(|&[r, g, b]| [b, g, r, 7]).collect();
+    // BT.601, 0 to 255, by its definition.
+    let yuv = |[r, g, b]: [u8; 3]| {
+        let [r, g, b] = [r, g, b].map(f64::from);
+        let y = 0.299 * r + 0.587 * g + 0.114 * b;
+        [y, 128.0 + (b - y) / 1.772, 128.0 + (r - y) / 1.402]
+    };
+    let luma: Vec<u8> = pixels
+        .iter()
+        .map(|&pixel| yuv(pixel)[0].round() as u8)
+        .collect();
+    let mut chroma = Vec::new();
+    for y in (0..size.1).step_by(2) {
+        for x in (0..size.0).step_by(2) {
+            let near =
+                |x: u32, y: u32| yuv(image.get_pixel(x.min(size.0 - 1), y.min(size.1 - 1)).0);
+            let four = [
+                near(x, y),
+                near(x + 1, y),
+                near(x, y + 1),
+                near(x + 1, y + 1),
+            ];
+            chroma.extend(
+                [1, 2].map(|c| (four.iter().map(|p| p[c]).sum::<f64>() / 4.0).round() as u8),
+            );
+        }
+    }
+    let plane = |bytes, stride: u32| Plane {
+        bytes,
+        stride: stride as usize,
+    };
+    let bgrx = Picture::with_format(size, PixelFormat::Bgrx, &[plane(&bgrx, 4 * size.0)]);
+    let planes = [
+        plane(&luma, size.0),
+        plane(&chroma, size.0.next_multiple_of(2)),
+    ];
+    let nv12 = Picture::with_format(size, PixelFormat::Nv12(Yuv::Bt601Full), &planes);
+    // Whole in the engine, and from planes of f32 in tract.
+    for name in ["adaptive-int8.onnx", "adaptive-f32.onnx"] {
+        let model = shipped_model(name);
+        let network = Some((320, 96));
+        let mut estimator =
+            Estimator::new(&model, &calibration, size, network, OutputSize::Network)
+                .expect("an estimator");
+        let mut depth = |picture: &Picture<'_>| {
+            let estimate = estimator.run(*picture).expect("depth");
+            estimate.depth.to_vec()
+        };
+        let rgb = depth(&Picture::from(&image));
+        assert!(depth(bgrx.as_ref().expect("a picture")) == rgb, "{name}");
+        let of_nv12 = depth(nv12.as_ref().expect("a picture"));
+        let errors = rgb.iter().zip(&of_nv12).map(|(a, b)| (b / a).ln().abs());
+        let mean = errors.sum::<f32>() / rgb.len() as f32;
+        assert!(mean < 0.02 && of_nv12 != rgb, "{name}: {mean}");
+    }
 }
 
 /// A baseline's ground is the plane, as a vanilla network's is, whether or not its heads use it.

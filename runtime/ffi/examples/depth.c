@@ -72,8 +72,8 @@ int main(int arguments, char **argument) {
     fprintf(stderr, "%s: not a binary PPM of 8 bits\n", argument[1]);
     return EXIT_FAILURE;
   }
-  picture.rgb = rgb;
-  picture.rgb_len = 3 * (size_t)picture.width * picture.height;
+  picture.bytes = rgb;
+  picture.bytes_len = 3 * (size_t)picture.width * picture.height;
 
   /* Once. */
   if (gedepth_calibration_read(argument[2], &calibration) != GEDEPTH_OK) goto failed;

@@ -66,7 +66,11 @@ int main(int arguments, char** argument) try {
   maps.depth = {depth.data(), depth.size(), 0};
   maps.ground = {ground.data(), ground.size(), 0};
   if (camera.shape().has_attention == 1) maps.attention = {attention.data(), attention.size(), 0};
-  const gedepth_picture picture{image.rgb.data(), image.rgb.size(), 0, image.width, image.height};
+  gedepth_picture picture{};
+  picture.bytes = image.rgb.data();
+  picture.bytes_len = image.rgb.size();
+  picture.width = image.width;
+  picture.height = image.height;
   camera.run(picture, maps);
 
   std::size_t seen = 0, trusted = 0;

@@ -39,6 +39,42 @@
 // Maps have the network's size: fewer pixels, faster.
 #define GEDEPTH_OUTPUT_NETWORK 1
 
+// Red, green, blue.
+#define GEDEPTH_FORMAT_RGB 0
+
+// Blue, green, red.
+#define GEDEPTH_FORMAT_BGR 1
+
+// Red, green, blue, and a byte that is not read.
+#define GEDEPTH_FORMAT_RGBX 2
+
+// Blue, green, red, and a byte that is not read.
+#define GEDEPTH_FORMAT_BGRX 3
+
+// One grey value.
+#define GEDEPTH_FORMAT_GREY 4
+
+// Two pixels in four bytes: luma, Cb, luma, Cr.
+#define GEDEPTH_FORMAT_YUYV 5
+
+// Two pixels in four bytes: Cb, luma, Cr, luma.
+#define GEDEPTH_FORMAT_UYVY 6
+
+// A plane of luma, then one of Cb, Cr with a pair for every two by two pixels.
+#define GEDEPTH_FORMAT_NV12 7
+
+// ITU-R BT.601, luma 16 to 235, chroma 16 to 240.
+#define GEDEPTH_YUV_BT601_LIMITED 0
+
+// ITU-R BT.601, 0 to 255 (JFIF).
+#define GEDEPTH_YUV_BT601_FULL 1
+
+// ITU-R BT.709, luma 16 to 235, chroma 16 to 240.
+#define GEDEPTH_YUV_BT709_LIMITED 2
+
+// ITU-R BT.709, 0 to 255.
+#define GEDEPTH_YUV_BT709_FULL 3
+
 // The fastest kernels that this processor has.
 #define GEDEPTH_KERNEL_BEST 0
 
@@ -264,19 +300,30 @@ typedef struct gedepth_shape {
   uint32_t reserved;
 } gedepth_shape;
 
-// A picture: red, green, blue, 8 bits each, row by row from the top left.
+// A picture, 8 bits a value, row by row from the top left; read where it is, without a copy. What is not used is 0: of a picture
+// of red, green, blue, all from `format` on.
 typedef struct gedepth_picture {
-  // The bytes.
-  const uint8_t *rgb;
-  // Their number, at least (height - 1) * stride + 3 * width.
-  size_t rgb_len;
-  // Bytes from the start of a row to the start of the next, at least 3 * width; 0 is 3 * width. Other values cost a copy
-  // of the picture.
+  // The bytes; of GEDEPTH_FORMAT_NV12 the luma.
+  const uint8_t *bytes;
+  // Their number, at least (height - 1) * stride + a row's.
+  size_t bytes_len;
+  // Bytes from the start of a row to the start of the next, at least a row's; 0 is a row's: width times 3, 4 (RGBX, BGRX), 1
+  // (GREY, NV12), or 2 (YUYV, UYVY; of the next even width).
   size_t stride;
   // Columns: the camera's.
   uint32_t width;
   // Rows: the camera's.
   uint32_t height;
+  // GEDEPTH_FORMAT_*.
+  uint32_t format;
+  // What luma and chroma are, where the format has them: GEDEPTH_YUV_*.
+  uint32_t yuv;
+  // Chroma of GEDEPTH_FORMAT_NV12: half as many rows, rounded up.
+  const uint8_t *chroma;
+  // Number of its bytes, at least (rows - 1) * chroma_stride + a row's.
+  size_t chroma_len;
+  // As stride; a row has as many bytes as the next even width.
+  size_t chroma_stride;
 } gedepth_picture;
 
 // A map to be written, row by row from the top left; with values null and values_len 0, none.
@@ -308,7 +355,7 @@ typedef struct gedepth_times {
   uint64_t network_ns;
   // From the network's outputs to depth.
   uint64_t fusion_ns;
-  // Copies of a padded picture, and into the caller's maps.
+  // Copies into the caller's maps.
   uint64_t copy_ns;
   // The call, from its start to when its maps were written.
   uint64_t total_ns;

@@ -1,11 +1,12 @@
 //! Cameras: a model bound to a calibration, which takes pictures and writes depth.
 
 use std::iter;
+use std::ptr;
 use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::Instant;
 
 use gedepth::gedepth_core::Ground;
-use gedepth::{Error, Estimate, Estimator, OutputSize, Picture};
+use gedepth::{Error, Estimate, Estimator, OutputSize, Picture, PixelFormat, Plane, Yuv};
 
 use crate::calibration::gedepth_calibration;
 use crate::memory::{Array, check_disjoint, close, look, open, read};
@@ -73,21 +74,58 @@ pub struct gedepth_shape {
     pub reserved: u32,
 }
 
-/// A picture: red, green, blue, 8 bits each, row by row from the top left.
+/// Red, green, blue.
+pub const GEDEPTH_FORMAT_RGB: u32 = 0;
+/// Blue, green, red.
+pub const GEDEPTH_FORMAT_BGR: u32 = 1;
+/// Red, green, blue, and a byte that is not read.
+pub const GEDEPTH_FORMAT_RGBX: u32 = 2;
+/// Blue, green, red, and a byte that is not read.
+pub const GEDEPTH_FORMAT_BGRX: u32 = 3;
+/// One grey value.
+pub const GEDEPTH_FORMAT_GREY: u32 = 4;
+/// Two pixels in four bytes: luma, Cb, luma, Cr.
+pub const GEDEPTH_FORMAT_YUYV: u32 = 5;
+/// Two pixels in four bytes: Cb, luma, Cr, luma.
+pub const GEDEPTH_FORMAT_UYVY: u32 = 6;
+/// A plane of luma, then one of Cb, Cr with a pair for every two by two pixels.
+pub const GEDEPTH_FORMAT_NV12: u32 = 7;
+
+/// ITU-R BT.601, luma 16 to 235, chroma 16 to 240.
+pub const GEDEPTH_YUV_BT601_LIMITED: u32 = 0;
+/// ITU-R BT.601, 0 to 255 (JFIF).
+pub const GEDEPTH_YUV_BT601_FULL: u32 = 1;
+/// ITU-R BT.709, luma 16 to 235, chroma 16 to 240.
+pub const GEDEPTH_YUV_BT709_LIMITED: u32 = 2;
+/// ITU-R BT.709, 0 to 255.
+pub const GEDEPTH_YUV_BT709_FULL: u32 = 3;
+
+/// A picture, 8 bits a value, row by row from the top left; read where it is, without a copy. What is not used is 0: of a picture
+/// of red, green, blue, all from `format` on.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct gedepth_picture {
-    /// The bytes.
-    pub rgb: *const u8,
-    /// Their number, at least (height - 1) * stride + 3 * width.
-    pub rgb_len: usize,
-    /// Bytes from the start of a row to the start of the next, at least 3 * width; 0 is 3 * width. Other values cost a copy
-    /// of the picture.
+    /// The bytes; of GEDEPTH_FORMAT_NV12 the luma.
+    pub bytes: *const u8,
+    /// Their number, at least (height - 1) * stride + a row's.
+    pub bytes_len: usize,
+    /// Bytes from the start of a row to the start of the next, at least a row's; 0 is a row's: width times 3, 4 (RGBX, BGRX), 1
+    /// (GREY, NV12), or 2 (YUYV, UYVY; of the next even width).
     pub stride: usize,
     /// Columns: the camera's.
     pub width: u32,
     /// Rows: the camera's.
     pub height: u32,
+    /// GEDEPTH_FORMAT_*.
+    pub format: u32,
+    /// What luma and chroma are, where the format has them: GEDEPTH_YUV_*.
+    pub yuv: u32,
+    /// Chroma of GEDEPTH_FORMAT_NV12: half as many rows, rounded up.
+    pub chroma: *const u8,
+    /// Number of its bytes, at least (rows - 1) * chroma_stride + a row's.
+    pub chroma_len: usize,
+    /// As stride; a row has as many bytes as the next even width.
+    pub chroma_stride: usize,
 }
 
 /// A map to be written, row by row from the top left; with values null and values_len 0, none.
@@ -125,7 +163,7 @@ pub struct gedepth_times {
     pub network_ns: u64,
     /// From the network's outputs to depth.
     pub fusion_ns: u64,
-    /// Copies of a padded picture, and into the caller's maps.
+    /// Copies into the caller's maps.
     pub copy_ns: u64,
     /// The call, from its start to when its maps were written.
     pub total_ns: u64,
@@ -160,9 +198,42 @@ pub struct gedepth_camera {
 
 struct State {
     estimator: Estimator,
-    /// A padded picture without its padding.
-    packed: Vec<u8>,
     statistics: Statistics,
+}
+
+/// A picture's bytes, not yet read, nor known to be enough.
+struct Planes {
+    format: PixelFormat,
+    bytes: Array<u8>,
+    chroma: Option<Array<u8>>,
+}
+
+impl Planes {
+    /// The picture, whose description `of` is.
+    ///
+    /// # Safety
+    /// [The crate's contract](crate#safety), while the picture is used.
+    unsafe fn picture<'a>(&self, of: &gedepth_picture) -> Result<Picture<'a>> {
+        let size = (of.width, of.height);
+        let [(row, _), (chroma_row, _)] = self.format.planes(size);
+        let plane = |array: &Array<u8>, stride, row: u64| Plane {
+            // SAFETY: the caller's promise.
+            bytes: unsafe { array.slice() },
+            stride: match stride {
+                0 => row as usize,
+                stride => stride,
+            },
+        };
+        let first = plane(&self.bytes, of.stride, row);
+        let made = match &self.chroma {
+            None => Picture::with_format(size, self.format, &[first]),
+            Some(chroma) => {
+                let second = plane(chroma, of.chroma_stride, chroma_row);
+                Picture::with_format(size, self.format, &[first, second])
+            }
+        };
+        made.map_err(|e| Failure::new(GEDEPTH_PICTURE_LENGTH, format_args!("{e}")))
+    }
 }
 
 const _: fn() = || {
@@ -209,17 +280,8 @@ impl gedepth_camera {
         };
         let picture = (calibration.width, calibration.height);
         let calibration = calibration.checked()?;
-        let mut estimator = Estimator::new(&model.model, &calibration, picture, network, output)?;
-        // Not zeros, so that the memory is there, not promised; and not of one colour, which some networks divide by the
-        // deviation of.
-        let packed: Vec<u8> = (0..=u8::MAX)
-            .cycle()
-            .take(3 * picture.0 as usize * picture.1 as usize)
-            .collect();
-        let first = Picture::new(picture, &packed)
-            .ok_or_else(|| Failure::plain(crate::result::GEDEPTH_IMAGE_SIZE))?;
-        let estimate = estimator.run(first)?;
-        let placement = estimate.placement;
+        let estimator = Estimator::new(&model.model, &calibration, picture, network, output)?;
+        let (placement, map) = (estimator.placement(), estimator.map_size());
         let shape = gedepth_shape {
             picture_width: picture.0,
             picture_height: picture.1,
@@ -229,8 +291,8 @@ impl gedepth_camera {
             region_height: placement.region.1,
             network_width: placement.network.0,
             network_height: placement.network.1,
-            map_width: estimate.size.0,
-            map_height: estimate.size.1,
+            map_width: map.0,
+            map_height: map.1,
             has_attention: model.model.contract().attention.is_some().into(),
             reserved: 0,
         };
@@ -238,7 +300,6 @@ impl gedepth_camera {
             shape,
             state: Mutex::new(State {
                 estimator,
-                packed,
                 statistics: Statistics::new(runs as usize),
             }),
         })
@@ -281,7 +342,7 @@ impl gedepth_camera {
             true => None,
             false => Some(Array::one(times)?),
         };
-        let (bytes, picture_stride) = self.bytes(&picture)?;
+        let planes = self.planes(&picture)?;
         let outputs = [
             self.output(&maps.depth, "depth")?,
             self.output(&maps.ground, "ground")?,
@@ -295,35 +356,22 @@ impl gedepth_camera {
             *span = output.as_ref().map(|(array, _)| array.span());
         }
         written[3] = times.as_ref().map(Array::span);
+        let [bytes, chroma] = [
+            &planes.bytes,
+            planes.chroma.as_ref().unwrap_or(&planes.bytes),
+        ];
         check_disjoint(
             written.iter().flatten(),
-            &[bytes.span(), picture_span, maps_span],
+            &[bytes.span(), chroma.span(), picture_span, maps_span],
         )?;
 
         let mut state = self.state()?;
         let State {
             estimator,
-            packed,
             statistics,
         } = &mut *state;
         // SAFETY: passed on.
-        let bytes = unsafe { bytes.slice() };
-        let size = (picture.width, picture.height);
-        let row = 3 * picture.width as usize;
-        let rgb = match picture_stride == row {
-            true => bytes.get(..packed.len()).unwrap_or(bytes),
-            false => {
-                for (to, from) in packed
-                    .chunks_exact_mut(row)
-                    .zip(bytes.chunks(picture_stride))
-                {
-                    to.copy_from_slice(&from[..row]);
-                }
-                packed
-            }
-        };
-        let picture =
-            Picture::new(size, rgb).ok_or_else(|| Failure::plain(GEDEPTH_PICTURE_LENGTH))?;
+        let picture = unsafe { planes.picture(&picture)? };
         let Estimate {
             depth,
             times: stages,
@@ -379,30 +427,61 @@ impl gedepth_camera {
         }
     }
 
-    /// The bytes of a picture of the right size, and the stride.
-    fn bytes(&self, picture: &gedepth_picture) -> Result<(Array<u8>, usize)> {
+    /// Where the bytes of a picture of the right size are.
+    fn planes(&self, picture: &gedepth_picture) -> Result<Planes> {
         let actual = (picture.width, picture.height);
         let expected = (self.shape.picture_width, self.shape.picture_height);
         if actual != expected {
             return Err(Error::PictureSize { actual, expected }.into());
         }
-        let bytes = Array::new(picture.rgb, picture.rgb_len)?;
-        let row = 3 * picture.width as usize;
-        let stride = match picture.stride {
-            0 => row,
-            stride => stride,
+        let yuv = match picture.yuv {
+            GEDEPTH_YUV_BT601_LIMITED => Yuv::Bt601Limited,
+            GEDEPTH_YUV_BT601_FULL => Yuv::Bt601Full,
+            GEDEPTH_YUV_BT709_LIMITED => Yuv::Bt709Limited,
+            GEDEPTH_YUV_BT709_FULL => Yuv::Bt709Full,
+            unknown => {
+                return Err(Failure::new(
+                    GEDEPTH_UNKNOWN_CHOICE,
+                    format_args!("the picture's yuv {unknown} is none of GEDEPTH_YUV_*"),
+                ));
+            }
         };
-        let needed = needed(picture.height, stride, row);
-        if stride < row || needed.is_none_or(|needed| picture.rgb_len < needed) {
+        let format = match picture.format {
+            GEDEPTH_FORMAT_RGB => PixelFormat::Rgb,
+            GEDEPTH_FORMAT_BGR => PixelFormat::Bgr,
+            GEDEPTH_FORMAT_RGBX => PixelFormat::Rgbx,
+            GEDEPTH_FORMAT_BGRX => PixelFormat::Bgrx,
+            GEDEPTH_FORMAT_GREY => PixelFormat::Grey,
+            GEDEPTH_FORMAT_YUYV => PixelFormat::Yuyv(yuv),
+            GEDEPTH_FORMAT_UYVY => PixelFormat::Uyvy(yuv),
+            GEDEPTH_FORMAT_NV12 => PixelFormat::Nv12(yuv),
+            unknown => {
+                return Err(Failure::new(
+                    GEDEPTH_UNKNOWN_CHOICE,
+                    format_args!("the picture's format {unknown} is none of GEDEPTH_FORMAT_*"),
+                ));
+            }
+        };
+        let has_yuv = picture.format >= GEDEPTH_FORMAT_YUYV;
+        let has_chroma = picture.format == GEDEPTH_FORMAT_NV12;
+        let chroma = (picture.chroma, picture.chroma_len, picture.chroma_stride);
+        if !has_yuv && picture.yuv != 0 || !has_chroma && chroma != (ptr::null(), 0, 0) {
             return Err(Failure::new(
-                GEDEPTH_PICTURE_LENGTH,
+                GEDEPTH_UNUSED_NOT_ZERO,
                 format_args!(
-                    "the picture of {} x {} with a stride of {stride} has {} bytes; (height - 1) * stride + {row} are needed, and the stride must be at least {row}",
-                    picture.width, picture.height, picture.rgb_len
+                    "the picture's format {} has no use for its yuv or its chroma: they must be 0",
+                    picture.format
                 ),
             ));
         }
-        Ok((bytes, stride))
+        Ok(Planes {
+            format,
+            bytes: Array::new(picture.bytes, picture.bytes_len)?,
+            chroma: match has_chroma {
+                true => Some(Array::new(picture.chroma, picture.chroma_len)?),
+                false => None,
+            },
+        })
     }
 
     /// Where a map goes and its stride; `None` if it is not asked for.
@@ -589,11 +668,16 @@ mod tests {
         let (mut model, mut camera) = (null_mut(), null_mut());
         let rgb = [9; 3 * 32 * 32];
         let picture = gedepth_picture {
-            rgb: rgb.as_ptr(),
-            rgb_len: rgb.len(),
+            bytes: rgb.as_ptr(),
+            bytes_len: rgb.len(),
             stride: 0,
             width: 32,
             height: 32,
+            format: GEDEPTH_FORMAT_RGB,
+            yuv: 0,
+            chroma: ptr::null(),
+            chroma_len: 0,
+            chroma_stride: 0,
         };
         let none = gedepth_map {
             values: null_mut(),

@@ -6,7 +6,10 @@ use std::ffi::{CStr, CString};
 use std::path::{Path, PathBuf};
 use std::ptr::{null, null_mut};
 
-use gedepth::{Calibration, Distortion, Estimator, Model, Numbers, OutputSize, Picture};
+use gedepth::{
+    Calibration, Distortion, Estimator, Model, Numbers, OutputSize, Picture, PixelFormat, Plane,
+    Yuv,
+};
 use gedepth_ffi::calibration::*;
 use gedepth_ffi::camera::*;
 use gedepth_ffi::ground::*;
@@ -62,11 +65,16 @@ fn noise(seed: u32) -> Vec<u8> {
 
 fn picture(rgb: &[u8]) -> gedepth_picture {
     gedepth_picture {
-        rgb: rgb.as_ptr(),
-        rgb_len: rgb.len(),
+        bytes: rgb.as_ptr(),
+        bytes_len: rgb.len(),
         stride: 0,
         width: SIZE.0,
         height: SIZE.1,
+        format: GEDEPTH_FORMAT_RGB,
+        yuv: 0,
+        chroma: null(),
+        chroma_len: 0,
+        chroma_stride: 0,
     }
 }
 
@@ -181,8 +189,8 @@ impl Drop for Camera {
     }
 }
 
-/// Depth, ground and attention by way of the Rust interface.
-fn expected(rgb: &[u8], output: OutputSize) -> [Vec<f32>; 3] {
+/// The Rust interface's, of the same camera.
+fn estimator(model: &Model, output: OutputSize) -> Estimator {
     let c = calibration();
     let numbers = Numbers {
         size: Some(SIZE),
@@ -198,8 +206,12 @@ fn expected(rgb: &[u8], output: OutputSize) -> [Vec<f32>; 3] {
         offset: c.plane_offset,
     };
     let calibration = Calibration::new(Path::new("numbers"), &numbers).unwrap();
-    let model = Model::embedded().unwrap();
-    let mut estimator = Estimator::new(&model, &calibration, SIZE, Some(NETWORK), output).unwrap();
+    Estimator::new(model, &calibration, SIZE, Some(NETWORK), output).unwrap()
+}
+
+/// Depth, ground and attention by way of the Rust interface.
+fn expected(rgb: &[u8], output: OutputSize) -> [Vec<f32>; 3] {
+    let mut estimator = estimator(&Model::embedded().unwrap(), output);
     estimator.run(Picture::new(SIZE, rgb).unwrap()).unwrap();
     let maps = estimator.maps().unwrap();
     [
@@ -273,7 +285,7 @@ fn layouts_of_the_interface() {
         (size_of::<gedepth_ground>(), 32),
         (size_of::<gedepth_options>(), 32),
         (size_of::<gedepth_shape>(), 48),
-        (size_of::<gedepth_picture>(), 3 * pointers + 8),
+        (size_of::<gedepth_picture>(), 6 * pointers + 16),
         (size_of::<gedepth_maps>(), 9 * pointers),
         (size_of::<gedepth_plausibility>(), 16),
         (size_of::<gedepth_times>(), 40),
@@ -345,6 +357,69 @@ fn maps_are_those_of_the_rust_interface_with_any_strides() {
     }
 }
 
+/// Every format and meaning of luma and chroma, padded, is what the Rust interface takes for it.
+#[test]
+fn pictures_of_every_format_are_those_of_the_rust_interface() {
+    let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
+    let bytes = [noise(11), noise(12)].concat();
+    let stride = 4 * width + 3;
+    let (first, second) = bytes.split_at(stride * height);
+    let camera = Camera::usual();
+    let model = Model::embedded().unwrap();
+    let mut estimator = estimator(&model, OutputSize::Picture);
+    let yuvs = [
+        (GEDEPTH_YUV_BT601_LIMITED, Yuv::Bt601Limited),
+        (GEDEPTH_YUV_BT601_FULL, Yuv::Bt601Full),
+        (GEDEPTH_YUV_BT709_LIMITED, Yuv::Bt709Limited),
+        (GEDEPTH_YUV_BT709_FULL, Yuv::Bt709Full),
+    ];
+    let mut formats = vec![
+        (GEDEPTH_FORMAT_RGB, 0, PixelFormat::Rgb),
+        (GEDEPTH_FORMAT_BGR, 0, PixelFormat::Bgr),
+        (GEDEPTH_FORMAT_RGBX, 0, PixelFormat::Rgbx),
+        (GEDEPTH_FORMAT_BGRX, 0, PixelFormat::Bgrx),
+        (GEDEPTH_FORMAT_GREY, 0, PixelFormat::Grey),
+    ];
+    for (number, yuv) in yuvs {
+        formats.extend([
+            (GEDEPTH_FORMAT_YUYV, number, PixelFormat::Yuyv(yuv)),
+            (GEDEPTH_FORMAT_UYVY, number, PixelFormat::Uyvy(yuv)),
+            (GEDEPTH_FORMAT_NV12, number, PixelFormat::Nv12(yuv)),
+        ]);
+    }
+    let mut depths: Vec<Vec<f32>> = Vec::new();
+    for (number, yuv, format) in formats {
+        let has_chroma = number == GEDEPTH_FORMAT_NV12;
+        let mut planes = vec![Plane {
+            bytes: first,
+            stride,
+        }];
+        let mut picture = gedepth_picture {
+            stride,
+            format: number,
+            yuv,
+            ..picture(first)
+        };
+        if has_chroma {
+            // Without padding: 0 says so.
+            let row = width.next_multiple_of(2);
+            planes.push(Plane {
+                bytes: second,
+                stride: row,
+            });
+            picture.chroma = second.as_ptr();
+            picture.chroma_len = row * height.div_ceil(2);
+        }
+        let own = Picture::with_format(SIZE, format, &planes).unwrap();
+        let mut depth = vec![0.0; PIXELS];
+        let result = camera.run(&picture, &only_depth(&mut depth), 0);
+        assert_eq!(result, GEDEPTH_OK, "{format:?}: {}", last_error());
+        assert!(depth == estimator.run(own).unwrap().depth, "{format:?}");
+        assert!(!depths.contains(&depth), "{format:?} is as one before");
+        depths.push(depth);
+    }
+}
+
 #[test]
 fn what_cannot_be_done_is_refused_by_number_and_nothing_is_written() {
     let camera = Camera::usual();
@@ -360,6 +435,12 @@ fn what_cannot_be_done_is_refused_by_number_and_nothing_is_written() {
         attention: NONE,
     };
     let row = 3 * SIZE.0 as usize;
+    let nv12 = gedepth_picture {
+        format: GEDEPTH_FORMAT_NV12,
+        chroma: rgb[PIXELS..].as_ptr(),
+        chroma_len: (SIZE.0.div_ceil(2) * 2 * SIZE.1.div_ceil(2)) as usize,
+        ..good
+    };
     let inside = |by: usize| gedepth_map {
         values: depth_map.values.wrapping_add(by),
         values_len: PIXELS,
@@ -368,21 +449,21 @@ fn what_cannot_be_done_is_refused_by_number_and_nothing_is_written() {
     let pictures = [
         (
             gedepth_picture {
-                rgb: null(),
+                bytes: null(),
                 ..good
             },
             GEDEPTH_NULL_POINTER,
         ),
         (
             gedepth_picture {
-                rgb_len: usize::MAX,
+                bytes_len: usize::MAX,
                 ..good
             },
             GEDEPTH_TOO_LONG,
         ),
         (
             gedepth_picture {
-                rgb_len: rgb.len() - 1,
+                bytes_len: rgb.len() - 1,
                 ..good
             },
             GEDEPTH_PICTURE_LENGTH,
@@ -419,8 +500,56 @@ fn what_cannot_be_done_is_refused_by_number_and_nothing_is_written() {
         ),
         (
             gedepth_picture {
-                rgb: depth_map.values.cast(),
+                bytes: depth_map.values.cast(),
                 ..good
+            },
+            GEDEPTH_OVERLAP,
+        ),
+        (
+            gedepth_picture { format: 8, ..good },
+            GEDEPTH_UNKNOWN_CHOICE,
+        ),
+        (gedepth_picture { yuv: 4, ..nv12 }, GEDEPTH_UNKNOWN_CHOICE),
+        (gedepth_picture { yuv: 1, ..good }, GEDEPTH_UNUSED_NOT_ZERO),
+        (
+            gedepth_picture {
+                format: GEDEPTH_FORMAT_YUYV,
+                ..nv12
+            },
+            GEDEPTH_UNUSED_NOT_ZERO,
+        ),
+        (
+            gedepth_picture {
+                chroma_stride: 1,
+                ..good
+            },
+            GEDEPTH_UNUSED_NOT_ZERO,
+        ),
+        (
+            gedepth_picture {
+                chroma: null(),
+                ..nv12
+            },
+            GEDEPTH_NULL_POINTER,
+        ),
+        (
+            gedepth_picture {
+                chroma_len: nv12.chroma_len - 1,
+                ..nv12
+            },
+            GEDEPTH_PICTURE_LENGTH,
+        ),
+        (
+            gedepth_picture {
+                chroma_stride: SIZE.0 as usize - 1,
+                ..nv12
+            },
+            GEDEPTH_PICTURE_LENGTH,
+        ),
+        (
+            gedepth_picture {
+                chroma: depth_map.values.cast(),
+                ..nv12
             },
             GEDEPTH_OVERLAP,
         ),

@@ -1,7 +1,7 @@
 //! Through the C interface a picture costs no allocation, and 10,000 of them no memory.
 
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::ptr::null_mut;
+use std::ptr::{null, null_mut};
 use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 
 use gedepth_ffi::calibration::*;
@@ -103,13 +103,22 @@ fn main() {
                 allocations_before = ALLOCATIONS.load(SeqCst);
             }
             rgb[run % (3 * pixels)] = run as u8;
+            let has_chroma = run % 3 == 0;
             let picture = gedepth_picture {
-                rgb: rgb.as_ptr(),
-                rgb_len: rgb.len(),
-                // Padded or not.
+                bytes: rgb.as_ptr(),
+                bytes_len: rgb.len(),
+                // Padded or not, of two planes or one.
                 stride: (run % 2) * 4 * W as usize,
                 width: W - u32::from(run % 10 == 9),
                 height: H,
+                format: match has_chroma {
+                    true => GEDEPTH_FORMAT_NV12,
+                    false => GEDEPTH_FORMAT_RGB,
+                },
+                yuv: 0,
+                chroma: if has_chroma { rgb.as_ptr() } else { null() },
+                chroma_len: if has_chroma { rgb.len() } else { 0 },
+                chroma_stride: 0,
             };
             // In time, late, and of the wrong size.
             let deadline_ns = u64::from(run % 10 == 8);
