@@ -10,7 +10,6 @@ use crate::engine::Entrance;
 use crate::model::{MAX_PIXELS, Model, Size};
 use crate::pixel_format::Picture;
 use crate::resample::{Resampler, Scratch};
-use crate::vectors::{Loops, widest};
 
 /// Which part of the picture the network sees, and at which size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -252,36 +251,20 @@ impl Preprocessor {
     }
 
     /// Calls `put(x, red green blue)` for every pixel of row `y` at the network's size.
-    fn row(&self, picture: Picture<'_>, y: usize, thread: usize, put: impl FnMut(usize, [u8; 3])) {
+    fn row(
+        &self,
+        picture: Picture<'_>,
+        y: usize,
+        thread: usize,
+        mut put: impl FnMut(usize, [u8; 3]),
+    ) {
         let mut scratch = self.scratch[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        widest(ResampledRow {
-            resampler: &self.resampler,
-            picture,
-            y,
-            scratch: &mut scratch,
-            put,
-        });
-    }
-}
-
-/// A row to resample.
-struct ResampledRow<'a, P> {
-    resampler: &'a Resampler,
-    picture: Picture<'a>,
-    y: usize,
-    scratch: &'a mut Scratch,
-    put: P,
-}
-
-impl<P: FnMut(usize, [u8; 3])> Loops for ResampledRow<'_, P> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        self.resampler
-            .row(&self.picture, self.y, self.scratch, self.put);
+        let pixels = self.resampler.row(&picture, y, &mut scratch);
+        for (x, &[red, green, blue, _]) in pixels.iter().enumerate() {
+            put(x, [red, green, blue]);
+        }
     }
 }
 

@@ -17,6 +17,7 @@ use std::ops::Range;
 use crate::Size;
 use crate::pixel_format::{Picture, Plane};
 use crate::preprocess::Placement;
+use crate::vectors::{Loops, widest};
 
 /// Fraction bits of a weight.
 const WEIGHT_BITS: u32 = 14;
@@ -143,18 +144,28 @@ impl Resampler {
         }
     }
 
-    /// Calls `put(x, red green blue)` for every pixel of the output's row `y`.
+    /// The pixels of the output's row `y`: red, green, blue, and a byte without meaning.
     ///
     /// # Panics
     /// Where `picture` is not of the size that this was made for, `scratch` is another resampler's, or there is no row `y`.
-    #[inline(always)]
-    pub(crate) fn row(
+    pub(crate) fn row<'s>(
         &self,
         picture: &Picture<'_>,
         y: usize,
-        scratch: &mut Scratch,
-        mut put: impl FnMut(usize, [u8; 3]),
-    ) {
+        scratch: &'s mut Scratch,
+    ) -> &'s [[u8; 4]] {
+        widest(Row {
+            resampler: self,
+            picture,
+            y,
+            scratch,
+        });
+        &scratch.pixels
+    }
+
+    /// Both passes.
+    #[inline(always)]
+    fn passes(&self, picture: &Picture<'_>, y: usize, scratch: &mut Scratch) {
         let Scratch {
             planes: [first, second],
             between,
@@ -191,9 +202,6 @@ impl Resampler {
             _ => self.along::<0>(between, pixels),
         }
         format.colours(pixels);
-        for (x, &[red, green, blue, _]) in pixels.iter().enumerate() {
-            put(x, [red, green, blue]);
-        }
     }
 
     /// The first pass: of `read`, bytes of a row of the plane, one row of the output's height.
@@ -256,6 +264,23 @@ impl Resampler {
     }
 }
 
+/// A row to resample.
+struct Row<'a> {
+    resampler: &'a Resampler,
+    picture: &'a Picture<'a>,
+    y: usize,
+    scratch: &'a mut Scratch,
+}
+
+impl Loops for Row<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.resampler.passes(self.picture, self.y, self.scratch);
+    }
+}
+
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
@@ -278,7 +303,8 @@ mod tests {
         let mut scratch = resampler.scratch();
         let mut pixels = Vec::new();
         for y in 0..placement.network.1 as usize {
-            resampler.row(picture, y, &mut scratch, |_, pixel| pixels.push(pixel));
+            let row = resampler.row(picture, y, &mut scratch);
+            pixels.extend(row.iter().map(|&[red, green, blue, _]| [red, green, blue]));
         }
         pixels
     }
