@@ -230,41 +230,35 @@ impl Preprocessor {
             Entrance::Planes(planes) => {
                 let [height, width] = self.network;
                 for y in 0..height {
-                    self.row(picture, y, 0, |x, rgb| {
+                    self.row(picture, y, 0, |pixels| {
                         let channels = self
                             .channels
                             .iter()
                             .zip(planes.chunks_exact_mut(height * width));
                         for (source, plane) in channels {
                             if let Source::Colour(colour, values) = source {
-                                plane[y * width + x] = values[usize::from(rgb[*colour])];
+                                let row = plane[y * width..][..width].iter_mut();
+                                for (value, pixel) in row.zip(pixels) {
+                                    *value = values[usize::from(pixel[*colour])];
+                                }
                             }
                         }
                     });
                 }
                 Ok(())
             }
-            Entrance::Pixels(mut pixels) => pixels.write(|thread, y, mut row| {
-                self.row(picture, y, thread, |x, rgb| row.put(x, rgb));
+            Entrance::Pixels(mut pixels) => pixels.write(|thread, y, row| {
+                self.row(picture, y, thread, |pixels| row.write(pixels));
             }),
         }
     }
 
-    /// Calls `put(x, red green blue)` for every pixel of row `y` at the network's size.
-    fn row(
-        &self,
-        picture: Picture<'_>,
-        y: usize,
-        thread: usize,
-        mut put: impl FnMut(usize, [u8; 3]),
-    ) {
+    /// Calls `put` with the pixels of row `y` at the network's size: red, green, blue, and a byte without meaning.
+    fn row(&self, picture: Picture<'_>, y: usize, thread: usize, put: impl FnOnce(&[[u8; 4]])) {
         let mut scratch = self.scratch[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let pixels = self.resampler.row(&picture, y, &mut scratch);
-        for (x, &[red, green, blue, _]) in pixels.iter().enumerate() {
-            put(x, [red, green, blue]);
-        }
+        put(self.resampler.row(&picture, y, &mut scratch));
     }
 }
 

@@ -52,8 +52,7 @@ impl Pixels {
         }
     }
 
-    /// Row `y`, to be written pixel by pixel.
-    #[inline(always)]
+    /// Row `y`, to be written.
     pub(super) fn row<'a>(&'a self, y: usize, out: &'a mut [u8]) -> PixelRow<'a> {
         let (constant, place) = &self.constant;
         PixelRow {
@@ -74,14 +73,16 @@ pub(crate) struct PixelRow<'a> {
 }
 
 impl PixelRow<'_> {
-    /// Writes pixel `x`.
-    #[inline(always)]
-    pub(crate) fn put(&mut self, x: usize, [red, green, blue]: [u8; 3]) {
+    /// Writes all of it: `pixels` are red, green, blue and a byte that is not read.
+    pub(crate) fn write(self, pixels: &[[u8; 4]]) {
         let [reds, greens, blues] = self.colours;
-        let pixel = reds[usize::from(red)]
-            | greens[usize::from(green)]
-            | blues[usize::from(blue)]
-            | u32::from(self.constant[x]) << self.shift;
-        self.out[x] = pixel.to_le_bytes();
+        let sources = pixels.iter().zip(self.constant);
+        for (out, (&[red, green, blue, _], &constant)) in self.out.iter_mut().zip(sources) {
+            let pixel = reds[usize::from(red)]
+                | greens[usize::from(green)]
+                | blues[usize::from(blue)]
+                | u32::from(constant) << self.shift;
+            *out = pixel.to_le_bytes();
+        }
     }
 }
