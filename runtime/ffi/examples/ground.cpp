@@ -66,11 +66,7 @@ int main(int arguments, char** argument) try {
   maps.depth = {depth.data(), depth.size(), 0};
   maps.ground = {ground.data(), ground.size(), 0};
   if (camera.shape().has_attention == 1) maps.attention = {attention.data(), attention.size(), 0};
-  gedepth_picture picture{};
-  picture.bytes = image.rgb.data();
-  picture.bytes_len = image.rgb.size();
-  picture.width = image.width;
-  picture.height = image.height;
+  const gedepth_picture picture = gedepth::picture(image.rgb.data(), image.rgb.size(), image.width, image.height);
   camera.run(picture, maps);
 
   std::size_t seen = 0, trusted = 0;

@@ -50,6 +50,20 @@ inline gedepth_ground ground_of(double height, double pitch, double roll) {
   return ground;
 }
 
+// A picture of one plane without padding; set `stride` where there is some, and `chroma` of NV12.
+inline gedepth_picture picture(const std::uint8_t* bytes, std::size_t bytes_len, std::uint32_t width, std::uint32_t height,
+                               std::uint32_t format = GEDEPTH_FORMAT_RGB,
+                               std::uint32_t yuv = GEDEPTH_YUV_BT601_LIMITED) {
+  gedepth_picture picture{};
+  picture.bytes = bytes;
+  picture.bytes_len = bytes_len;
+  picture.width = width;
+  picture.height = height;
+  picture.format = format;
+  picture.yuv = yuv;
+  return picture;
+}
+
 class Model {
  public:
   // The model inside the library.
