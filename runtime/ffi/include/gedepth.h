@@ -523,7 +523,7 @@ typedef char gedepth_check_calibration[sizeof(gedepth_calibration) == 248 ? 1 : 
 typedef char gedepth_check_ground[sizeof(gedepth_ground) == 32 ? 1 : -1];
 typedef char gedepth_check_options[sizeof(gedepth_options) == 32 ? 1 : -1];
 typedef char gedepth_check_shape[sizeof(gedepth_shape) == 48 ? 1 : -1];
-typedef char gedepth_check_picture[sizeof(gedepth_picture) == 3 * sizeof(size_t) + 8 ? 1 : -1];
+typedef char gedepth_check_picture[sizeof(gedepth_picture) == 6 * sizeof(size_t) + 16 ? 1 : -1];
 typedef char gedepth_check_maps[sizeof(gedepth_maps) == 9 * sizeof(size_t) ? 1 : -1];
 typedef char gedepth_check_plausibility[sizeof(gedepth_plausibility) == 16 ? 1 : -1];
 typedef char gedepth_check_times[sizeof(gedepth_times) == 40 ? 1 : -1];
