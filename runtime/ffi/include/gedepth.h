@@ -385,7 +385,7 @@ typedef struct gedepth_statistics {
   struct gedepth_percentiles network;
   // From the network's outputs to depth.
   struct gedepth_percentiles fusion;
-  // Copies of a padded picture, and into the caller's maps.
+  // Copies into the caller's maps.
   struct gedepth_percentiles copy;
   // The call, from its start to when its maps were written.
   struct gedepth_percentiles total;

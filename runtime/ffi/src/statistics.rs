@@ -28,7 +28,7 @@ pub struct gedepth_statistics {
     pub network: gedepth_percentiles,
     /// From the network's outputs to depth.
     pub fusion: gedepth_percentiles,
-    /// Copies of a padded picture, and into the caller's maps.
+    /// Copies into the caller's maps.
     pub copy: gedepth_percentiles,
     /// The call, from its start to when its maps were written.
     pub total: gedepth_percentiles,
