@@ -186,10 +186,8 @@ impl Estimator {
             .cycle()
             .take(3 * picture.0 as usize * picture.1 as usize)
             .collect();
-        if let Some(picture) = Picture::new(picture, &bytes) {
-            estimator.run(picture)?;
-            estimator.maps()?;
-        }
+        estimator.run(Picture::new(picture, &bytes)?)?;
+        estimator.maps()?;
         Ok(estimator)
     }
 

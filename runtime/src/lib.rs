@@ -13,13 +13,11 @@
 //! let calibration = Calibration::read(Path::new("calibration.json"))?;
 //! let mut estimator =
 //!     Estimator::new(&Model::embedded()?, &calibration, image.dimensions(), None, OutputSize::Picture)?;
-//! let picture = Picture::new(image.dimensions(), image.as_raw()).ok_or("no pixels")?;
-//! let estimate = estimator.run(picture)?;
+//! let estimate = estimator.run(Picture::new(image.dimensions(), image.as_raw())?)?;
 //! let (width, height) = estimate.size;
 //! println!("{:.1} m in the middle", estimate.depth[(height / 2 * width + width / 2) as usize]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
-
 //!
 //! # Features
 //!

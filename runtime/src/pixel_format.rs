@@ -172,20 +172,20 @@ pub struct Picture<'a> {
 }
 
 impl<'a> Picture<'a> {
-    /// A picture over `3 * width * height` bytes: red, green, blue, without padding. `None` if there are more or fewer, or none.
-    pub fn new(size: Size, rgb: &'a [u8]) -> Option<Self> {
-        let bytes = u128::from(size.0) * u128::from(size.1) * 3;
-        (bytes > 0 && rgb.len() as u128 == bytes).then_some(Self {
-            size,
-            format: PixelFormat::Rgb,
-            planes: [
-                Plane {
-                    bytes: rgb,
-                    stride: 3 * size.0 as usize,
-                },
-                Plane::default(),
-            ],
-        })
+    /// A picture over `3 * width * height` bytes: red, green, blue, without padding.
+    ///
+    /// # Errors
+    /// [`Error::PictureBytes`] where there are fewer, or more, as of four bytes a pixel, or none.
+    pub fn new(size: Size, rgb: &'a [u8]) -> Result<Self, Error> {
+        let [(row, rows), _] = PixelFormat::Rgb.planes(size);
+        let plane = Plane {
+            bytes: rgb,
+            stride: usize::try_from(row).unwrap_or(usize::MAX),
+        };
+        match rgb.len() as u128 > u128::from(row) * u128::from(rows) {
+            true => Err(Self::unlike(size, PixelFormat::Rgb, 0, plane)),
+            false => Self::with_format(size, PixelFormat::Rgb, &[plane]),
+        }
     }
 
     /// A picture of any format, without a copy. `planes` are as many as the format has; the last row needs no padding, and bytes
@@ -209,15 +209,7 @@ impl<'a> Picture<'a> {
             let short =
                 (plane.stride as u128) < u128::from(row) || (plane.bytes.len() as u128) < needed;
             if surplus || short || size.0 == 0 || size.1 == 0 {
-                return Err(Error::PictureBytes {
-                    size,
-                    format,
-                    plane: index,
-                    rows,
-                    row,
-                    bytes: plane.bytes.len(),
-                    stride: plane.stride,
-                });
+                return Err(Self::unlike(size, format, index, plane));
             }
             if let Some(own) = own.get_mut(index) {
                 *own = plane;
@@ -228,6 +220,21 @@ impl<'a> Picture<'a> {
             format,
             planes: own,
         })
+    }
+
+    /// What is wrong with a plane.
+    fn unlike(size: Size, format: PixelFormat, index: usize, plane: Plane<'_>) -> Error {
+        let planes = format.planes(size);
+        let &(row, rows) = planes.get(index).unwrap_or(&(0, 0));
+        Error::PictureBytes {
+            size,
+            format,
+            plane: index,
+            rows,
+            row,
+            bytes: plane.bytes.len(),
+            stride: plane.stride,
+        }
     }
 
     /// Width and height, pixels.
@@ -268,6 +275,20 @@ mod tests {
     use super::*;
 
     const SIZE: Size = (5, 3);
+
+    #[test]
+    fn a_picture_of_three_bytes_a_pixel_has_exactly_its_bytes() {
+        assert!(Picture::new((2, 2), &[0; 12]).is_ok());
+        for (size, bytes) in [
+            ((2, 2), 11),
+            ((2, 2), 13),
+            ((0, 2), 0),
+            ((u32::MAX, u32::MAX), 3),
+        ] {
+            let made = Picture::new(size, &[0; 16][..bytes]);
+            assert!(matches!(made, Err(Error::PictureBytes { plane: 0, .. })));
+        }
+    }
 
     /// As many bytes as are needed, and one fewer, of every plane of every format.
     #[test]

@@ -539,15 +539,6 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_picture_has_exactly_its_bytes() {
-        assert!(Picture::new((2, 2), &[0; 12]).is_some());
-        assert!(Picture::new((2, 2), &[0; 11]).is_none());
-        assert!(Picture::new((2, 2), &[0; 13]).is_none());
-        assert!(Picture::new((0, 2), &[]).is_none());
-        assert!(Picture::new((u32::MAX, u32::MAX), &[0; 3]).is_none());
-    }
-
     /// The tables of bytes say what QuantizeLinear makes of the normalised planes, ground included.
     #[test]
     fn pixels_enter_the_network_as_its_first_layer_would_quantize_them() {
