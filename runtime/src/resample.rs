@@ -323,6 +323,23 @@ mod tests {
         (0..outputs).map(weights).collect()
     }
 
+    /// Weights of the columns and of the rows.
+    fn exact_axes(size: Size, placement: &Placement) -> [Vec<Vec<f64>>; 2] {
+        let Placement {
+            left,
+            top,
+            region,
+            network,
+        } = *placement;
+        let exact = |length, start: u32, region: u32, outputs| {
+            exact_weights(length, start.into(), region.into(), outputs)
+        };
+        [
+            exact(size.0, left, region.0, network.0),
+            exact(size.1, top, region.1, network.1),
+        ]
+    }
+
     /// What the module says of the difference to the exact filter's results.
     fn bound(columns: &[Vec<f64>], rows: &[Vec<f64>]) -> f64 {
         let used = |weights: &[Vec<f64>]| {
@@ -381,15 +398,7 @@ mod tests {
         for (size, placement) in placements() {
             let rgb = noise(3 * size.0 as usize * size.1 as usize);
             let picture = Picture::new(size, &rgb).expect("a picture");
-            let [left, top, width, height] = [
-                placement.left,
-                placement.top,
-                placement.region.0,
-                placement.region.1,
-            ]
-            .map(f64::from);
-            let columns = exact_weights(size.0, left, width, placement.network.0);
-            let rows = exact_weights(size.1, top, height, placement.network.1);
+            let [columns, rows] = exact_axes(size, &placement);
             let bound = bound(&columns, &rows);
             each(&picture, &placement, |x, y, pixel| {
                 for (colour, &byte) in pixel.iter().enumerate() {
@@ -506,16 +515,9 @@ mod tests {
     #[test]
     fn luma_and_chroma_are_the_exact_filters_and_colours() {
         for ((size, placement), yuv) in placements().into_iter().zip(YUV.into_iter().cycle()) {
-            let [left, top, width, height] = [
-                placement.left,
-                placement.top,
-                placement.region.0,
-                placement.region.1,
-            ]
-            .map(f64::from);
-            let columns = exact_weights(size.0, left, width, placement.network.0);
-            let rows = exact_weights(size.1, top, height, placement.network.1);
-            let half = size.1.div_ceil(2);
+            let [columns, rows] = exact_axes(size, &placement);
+            let (half, top) = (size.1.div_ceil(2), f64::from(placement.top));
+            let height = f64::from(placement.region.1);
             let half_rows = exact_weights(half, top / 2.0, height / 2.0, placement.network.1);
             let exact = |rows: &[f64], x: usize, byte: &dyn Fn(usize, usize) -> u8| {
                 let mut sum = 0.0;
