@@ -401,14 +401,16 @@ fn pictures_of_every_format_are_those_of_the_rust_interface() {
             ..picture(first)
         };
         if has_chroma {
-            // Without padding: 0 says so.
+            // Padded but for the first, where 0 says that it is not; the last row always ends with its last pair.
             let row = width.next_multiple_of(2);
+            picture.chroma_stride = [0, row + 5][usize::from(yuv > 0)];
+            let stride = row.max(picture.chroma_stride);
             planes.push(Plane {
                 bytes: second,
-                stride: row,
+                stride,
             });
             picture.chroma = second.as_ptr();
-            picture.chroma_len = row * height.div_ceil(2);
+            picture.chroma_len = stride * (height.div_ceil(2) - 1) + row;
         }
         let own = Picture::with_format(SIZE, format, &planes).unwrap();
         let mut depth = vec![0.0; PIXELS];
