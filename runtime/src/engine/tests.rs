@@ -770,25 +770,40 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
     let mut numbers = Numbers(13);
     for outputs in [3_usize, 16, 20, 40, 64, 72, 96, 112] {
         for pixels in [1_usize, 2, 3, 4, 7, 8, 15, 16, 37] {
-            let run = 4 * numbers.from(1..=9);
-            let input: Vec<u8> = (0..pixels * run)
+            let (runs, run) = (numbers.from(1..=3), 4 * numbers.from(1..=9));
+            let input: Vec<u8> = (0..runs * pixels * run)
                 .map(|_| numbers.below(256) as u8)
                 .collect();
-            let weights: Vec<i8> = (0..outputs * run)
+            let mut weights: Vec<i8> = (0..outputs * runs * run)
                 .map(|_| (numbers.below(255) as i32 - 127) as i8)
                 .collect();
+            // Blocks without weights, which kernels may leave out: none, some, most, all.
+            let share = numbers.below(4);
+            for output in (0..outputs).step_by(16) {
+                for byte in (0..runs * run).step_by(4) {
+                    if numbers.below(3) < share {
+                        for output in output..outputs.min(output + 16) {
+                            weights[output * runs * run + byte..][..4].fill(0);
+                        }
+                    }
+                }
+            }
+            let weight = |output, number, byte| weights[(output * runs + number) * run + byte];
+            let places: Vec<_> = (0..runs).map(|number| number * pixels * run).collect();
             let (starts, factors) = starts_and_factors(outputs);
             let row = Row {
                 input: &input,
                 base: 0,
-                runs: &[0],
+                runs: &places,
                 step: run,
                 pixels,
             };
             let to = to_bytes(&mut numbers);
             let expected = |output: usize, pixel: usize| {
-                let products = (0..run).map(|byte| {
-                    i32::from(input[pixel * run + byte]) * i32::from(weights[output * run + byte])
+                let products = (0..runs * run).map(|at| {
+                    let (number, byte) = (at / run, at % run);
+                    let input = input[(number * pixels + pixel) * run + byte];
+                    i32::from(input) * i32::from(weight(output, number, byte))
                 });
                 byte_of(
                     (products.sum::<i32>() + starts[output]) as f32 * factors[output],
@@ -796,9 +811,7 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
                 )
             };
             for kernel in kernels() {
-                let dense = Dense::new(kernel, outputs, 1, run, &starts, &factors, |o, _, byte| {
-                    weights[o * run + byte]
-                });
+                let dense = Dense::new(kernel, outputs, runs, run, &starts, &factors, weight);
                 let pitch = dense.lanes();
                 let mut out = vec![199; pitch * pixels + 64];
                 kernel.dense_bytes(&dense, &row, &to, &mut out[..pitch * pixels], pitch);
@@ -818,6 +831,30 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
                 }
             }
         }
+    }
+}
+
+/// Four blocks of outputs for eight times four bytes: with how many of the 32 blocks of weights zero, how many are multiplied.
+#[test]
+fn blocks_of_zeros_take_no_multiplication_where_that_pays() {
+    let (starts, factors) = starts_and_factors(64);
+    for kernel in kernels() {
+        let multiplied = |zeros: usize| {
+            let weight = |output: usize, _, byte: usize| {
+                i8::from(output / 16 * 8 + byte / 4 >= zeros && (output + byte).is_multiple_of(3))
+            };
+            Dense::new(kernel, 64, 1, 32, &starts, &factors, weight).blocks_of_weights()
+        };
+        let [few, many, all] = [6, 7, 32].map(multiplied);
+        let expected = match kernel {
+            // Where blocks share what is loaded, one that is alone loads more.
+            Kernel::Avx512Vnni => [32, 25, 0],
+            Kernel::Avx2 | Kernel::AvxVnni | Kernel::Portable => [26, 25, 0],
+            Kernel::NeonDotprod => [32; 3],
+            Kernel::NeonI8mm => [16; 3],
+            Kernel::Neon => [8; 3],
+        };
+        assert_eq!([few, many, all], expected, "{kernel:?}");
     }
 }
 

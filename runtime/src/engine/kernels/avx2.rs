@@ -3,7 +3,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Addition, BLOCK, Dense, Depthwise, Row, ToBytes, portable};
+use super::{Addition, BLOCK, Dense, Depthwise, Group, Row, ToBytes, portable};
 
 /// Pixels of a depthwise tile.
 const PIXELS: usize = 4;
@@ -69,9 +69,8 @@ pub(super) struct Tile<'a> {
     pub(super) row: &'a Row<'a>,
     /// First output channel.
     lane: usize,
-    /// The block's first vector of weights, and how many weights on the next one is.
-    pub(super) weights: *const i8,
-    pub(super) next_weights: usize,
+    /// Of this block alone.
+    pub(super) group: &'a Group,
     pixel: usize,
 }
 
@@ -123,17 +122,23 @@ impl Multiply for Avx2 {
     #[inline]
     unsafe fn sums<const COUNT: usize>(tile: Tile<'_>) -> [[__m256i; 2]; COUNT] {
         let step = tile.row.step;
-        let mut weights = tile.weights;
+        let Group { counts, places, .. } = tile.group;
+        let mut place = places.as_ptr();
+        let mut weights = tile.dense.weights[tile.group.weights..].as_ptr();
         // SAFETY: as this function's.
         let mut sums = [unsafe { tile.starts() }; COUNT];
         let even = _mm256_set1_epi16(0xff);
-        for &run in tile.row.runs {
+        for (&run, &count) in tile.row.runs.iter().zip(counts) {
             // SAFETY: as this function's.
-            let mut input = unsafe { tile.input(run) };
-            for _ in 0..tile.dense.run / 4 {
-                // SAFETY: a block has `runs * run / 4` vectors of 64 weights.
-                let halves =
-                    unsafe { [weights, weights.add(32)].map(|at| _mm256_loadu_si256(at.cast())) };
+            let first = unsafe { tile.input(run) };
+            for _ in 0..count {
+                // SAFETY: a block has as many places, within its runs, as vectors of 64 weights: the sum of its counts.
+                let (input, halves) = unsafe {
+                    (
+                        first.add(*place as usize),
+                        [weights, weights.add(32)].map(|at| _mm256_loadu_si256(at.cast())),
+                    )
+                };
                 let evens = halves.map(|w| _mm256_srai_epi16::<8>(_mm256_slli_epi16::<8>(w)));
                 let odds = halves.map(|w| _mm256_srai_epi16::<8>(w));
                 for (number, sums) in sums.iter_mut().enumerate() {
@@ -149,8 +154,7 @@ impl Multiply for Avx2 {
                         sums[half] = _mm256_add_epi32(sums[half], products);
                     }
                 }
-                input = input.wrapping_add(4);
-                weights = weights.wrapping_add(tile.next_weights);
+                (place, weights) = (place.wrapping_add(1), weights.wrapping_add(4 * BLOCK));
             }
         }
         sums
@@ -257,38 +261,30 @@ unsafe fn dense<M: Multiply, const PIXELS: usize>(
     row: &Row<'_>,
     mut sink: impl Store,
 ) {
-    let mut lane = 0;
-    let mut weights = dense.weights.as_ptr();
-    for group in dense.groups() {
-        for block in 0..group {
-            // SAFETY: `Dense::new` packed as many starts, factors and weights as the groups have; the pixels are the row's, and
-            // `sink` has room for them.
-            unsafe {
-                let mut tile = Tile {
-                    dense,
-                    row,
-                    lane,
-                    weights: weights.add(block * 4 * BLOCK),
-                    next_weights: group * 4 * BLOCK,
-                    pixel: 0,
-                };
-                if row.pixels >= PIXELS {
-                    // The last tile is moved back onto pixels already done.
-                    for pixel in (0..row.pixels).step_by(PIXELS) {
-                        tile.pixel = pixel.min(row.pixels - PIXELS);
-                        sink.store(tile.pixel, lane, M::sums::<PIXELS>(tile));
-                    }
-                } else {
-                    for pixel in 0..row.pixels {
-                        tile.pixel = pixel;
-                        sink.store(pixel, lane, M::sums::<1>(tile));
-                    }
+    for (block, group) in dense.groups.iter().enumerate() {
+        let lane = block * BLOCK;
+        let mut tile = Tile {
+            dense,
+            row,
+            lane,
+            group,
+            pixel: 0,
+        };
+        // SAFETY: `Dense::new` packed starts and factors for each lane; the pixels are the row's, and `sink` has room for them.
+        unsafe {
+            if row.pixels >= PIXELS {
+                // The last tile is moved back onto pixels already done.
+                for pixel in (0..row.pixels).step_by(PIXELS) {
+                    tile.pixel = pixel.min(row.pixels - PIXELS);
+                    sink.store(tile.pixel, lane, M::sums::<PIXELS>(tile));
+                }
+            } else {
+                for pixel in 0..row.pixels {
+                    tile.pixel = pixel;
+                    sink.store(pixel, lane, M::sums::<1>(tile));
                 }
             }
-            lane += BLOCK;
         }
-        // SAFETY: at most to the end of the weights.
-        weights = unsafe { weights.add(group * dense.block_weights()) };
     }
 }
 

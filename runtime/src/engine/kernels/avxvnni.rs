@@ -8,7 +8,7 @@ use std::arch::x86_64::*;
 
 use super::avx2::{self, Limits, Multiply, Tile, scaled};
 use super::few::NARROW;
-use super::{Dense, Depthwise, Row, ToBytes};
+use super::{BLOCK, Dense, Depthwise, Group, Row, ToBytes};
 
 pub(super) use avx2::{add, quantize_four};
 
@@ -113,16 +113,22 @@ macro_rules! encoding {
                 #[inline]
                 unsafe fn sums<const COUNT: usize>(tile: Tile<'_>) -> [[__m256i; 2]; COUNT] {
                     let step = tile.row.step;
-                    let mut weights = tile.weights;
+                    let Group { counts, places, .. } = tile.group;
+                    let mut place = places.as_ptr();
+                    let mut weights = tile.dense.weights[tile.group.weights..].as_ptr();
                     // SAFETY: as this function's.
                     let mut sums = [unsafe { tile.starts() }; COUNT];
-                    for &run in tile.row.runs {
+                    for (&run, &count) in tile.row.runs.iter().zip(counts) {
                         // SAFETY: as this function's.
-                        let mut input = unsafe { tile.input(run) };
-                        for _ in 0..tile.dense.run / 4 {
-                            // SAFETY: a block has `runs * run / 4` vectors of 64 weights.
-                            let halves = unsafe {
-                                [weights, weights.add(32)].map(|at| _mm256_loadu_si256(at.cast()))
+                        let first = unsafe { tile.input(run) };
+                        for _ in 0..count {
+                            // SAFETY: a block has as many places, within its runs, as vectors of 64 weights: the sum of its counts.
+                            let (input, halves) = unsafe {
+                                (
+                                    first.add(*place as usize),
+                                    [weights, weights.add(32)]
+                                        .map(|at| _mm256_loadu_si256(at.cast())),
+                                )
                             };
                             for (number, sums) in sums.iter_mut().enumerate() {
                                 // SAFETY: four bytes of a run of a pixel of the row.
@@ -134,8 +140,8 @@ macro_rules! encoding {
                                     *sum = $multiply(*sum, quad, weights);
                                 }
                             }
-                            input = input.wrapping_add(4);
-                            weights = weights.wrapping_add(tile.next_weights);
+                            (place, weights) =
+                                (place.wrapping_add(1), weights.wrapping_add(4 * BLOCK));
                         }
                     }
                     sums

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{Addition, BLOCK, Dense, Depthwise, Part, Row, ToBytes};
+use super::{Addition, BLOCK, Dense, Depthwise, Group, Part, Row, ToBytes};
 use crate::engine::layer::{Between, Quantization, saturate};
 
 /// Accumulators of one block of one pixel.
@@ -11,15 +11,18 @@ fn accumulate(
     row: &Row<'_>,
     pixel: usize,
     starts: &[i32],
-    weights: &[i8],
-    group: usize,
+    group: &Group,
 ) -> [i32; BLOCK] {
     let mut sums = [0; BLOCK];
     sums.copy_from_slice(starts);
-    let mut quads = weights.chunks_exact(4 * BLOCK).step_by(group);
-    for run in row.runs {
+    let mut quads = group
+        .places
+        .iter()
+        .zip(dense.weights[group.weights..].chunks_exact(4 * BLOCK));
+    for (run, &count) in row.runs.iter().zip(&group.counts) {
         let input = &row.input[row.base + run + pixel * row.step..][..dense.run];
-        for (bytes, weights) in input.chunks_exact(4).zip(&mut quads) {
+        for (&place, weights) in quads.by_ref().take(count as usize) {
+            let bytes = &input[place as usize..][..4];
             for (sum, weights) in sums.iter_mut().zip(weights.chunks_exact(4)) {
                 for (&byte, &weight) in bytes.iter().zip(weights) {
                     *sum = sum.wrapping_add(i32::from(byte) * i32::from(weight));
@@ -32,25 +35,13 @@ fn accumulate(
 
 /// Calls `store(pixel, lanes, accumulators)` for every block of every pixel.
 fn dense(dense: &Dense, row: &Row<'_>, mut store: impl FnMut(usize, Range<usize>, &[i32; BLOCK])) {
-    let mut first = 0;
-    let mut weights = dense.weights.as_slice();
-    for group in dense.groups() {
-        for block in 0..group {
-            let lanes = (first + block) * BLOCK..(first + block + 1) * BLOCK;
-            for pixel in 0..row.pixels {
-                let sums = accumulate(
-                    dense,
-                    row,
-                    pixel,
-                    &dense.starts[lanes.clone()],
-                    &weights[block * 4 * BLOCK..],
-                    group,
-                );
-                store(pixel, lanes.clone(), &sums);
-            }
+    for (block, group) in dense.groups.iter().enumerate() {
+        debug_assert_eq!(group.blocks, 1);
+        let lanes = block * BLOCK..(block + 1) * BLOCK;
+        for pixel in 0..row.pixels {
+            let sums = accumulate(dense, row, pixel, &dense.starts[lanes.clone()], group);
+            store(pixel, lanes.clone(), &sums);
         }
-        weights = &weights[group * dense.block_weights()..];
-        first += group;
     }
 }
 

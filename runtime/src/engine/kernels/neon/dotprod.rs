@@ -34,7 +34,7 @@ impl Multiply for Dotprod {
         // what is read of a pixel is sixteen bytes of its run, eight, or the last four.
         unsafe {
             let (run, step) = (tile.dense.run, tile.row.step);
-            let (mut weights, mut sums) = (tile.weights(), [tile.starts(); COUNT]);
+            let (mut weights, mut sums) = (tile.weights, [tile.starts(); COUNT]);
             let signed = |bytes| vreinterpretq_s8_u8(signed(bytes));
             let mut input = [vdupq_n_s8(0); COUNT];
             // Four bytes of the run.

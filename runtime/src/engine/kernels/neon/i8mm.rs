@@ -46,7 +46,7 @@ impl Multiply for I8mm {
         unsafe {
             const { assert!(COUNT == 1 || COUNT == 2 * PAIRS) }
             let (run, step) = (tile.dense.run, tile.row.step);
-            let (mut weights, starts) = (tile.weights(), tile.starts());
+            let (mut weights, starts) = (tile.weights, tile.starts());
             // A single pixel is a pair with itself.
             let pairs = COUNT.div_ceil(2);
             let second = COUNT.min(2) - 1;

@@ -89,6 +89,8 @@ struct Tile<'a> {
     dense: &'a Dense,
     row: &'a Row<'a>,
     block: usize,
+    /// The block's, as its kernel had them packed.
+    weights: *const i8,
     pixel: usize,
 }
 
@@ -101,17 +103,6 @@ impl Tile<'_> {
     unsafe fn starts(&self) -> [int32x4_t; 4] {
         // SAFETY: there is a start for every lane of every block.
         unsafe { lanes(self.dense.starts.as_ptr().add(self.block * BLOCK)) }
-    }
-
-    /// The block's weights, as its kernel had them packed.
-    ///
-    /// # Safety
-    /// As [`Tile::starts`].
-    #[inline]
-    unsafe fn weights(&self) -> *const i8 {
-        let at = self.block * self.dense.block_weights();
-        // SAFETY: there are as many for every block.
-        unsafe { self.dense.weights.as_ptr().add(at) }
     }
 
     /// The first byte of a run of the tile's first pixel.
@@ -182,12 +173,13 @@ unsafe fn dense<M: Multiply>(
 ) {
     // The compiler has two copies of the accumulators where there may be none.
     assert!(!row.runs.is_empty());
-    for block in 0..dense.blocks {
+    for (block, group) in dense.groups.iter().enumerate() {
         let lane = block * BLOCK;
         let mut tile = Tile {
             dense,
             row,
             block,
+            weights: dense.weights[group.weights..].as_ptr(),
             pixel: 0,
         };
         // SAFETY: the blocks are the convolution's, with a factor for every lane, and the pixels the row's.

@@ -32,7 +32,7 @@ impl Multiply for Plain {
                 for one in (0..COUNT).step_by(PAIR) {
                     let other = (one + 1).min(COUNT - 1);
                     let mut products = [[vdupq_n_s32(0); OUTPUTS]; PAIR];
-                    let mut weights = tile.weights().add(outputs * BYTES);
+                    let mut weights = tile.weights.add(outputs * BYTES);
                     for &offset in tile.row.runs {
                         let first = tile.input(offset);
                         let pixels = [first.add(one * step), first.add(other * step)];
