@@ -48,13 +48,14 @@ impl Tile<'_> {
                     .as_ptr()
                     .add(self.row.base + offset + self.pixel * step)
             };
-            let mut input = first;
             // Several blocks leave nothing out: to look up counts and places is 2 to 3 % of their time.
-            for _ in 0..if BLOCKS > 1 {
+            let count = if BLOCKS > 1 {
                 self.dense.run / 4
             } else {
                 count as usize
-            } {
+            };
+            let mut input = first;
+            for _ in 0..count {
                 if BLOCKS == 1 {
                     // SAFETY: a group has as many places, within its runs, as the sum of its counts.
                     input = unsafe { first.add(*place as usize) };
