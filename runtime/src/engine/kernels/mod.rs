@@ -277,9 +277,9 @@ impl Dense {
                 .filter(|&&piece| has_weights(block, piece))
                 .count()
         };
-        let filled: usize = (0..blocks).map(filled).sum();
+        let filled = || (0..blocks).map(filled).sum::<usize>();
         // Blocks that are alone load more for as many multiplications: it takes a fifth less of these to pay.
-        let alone = packing.skips && 5 * filled < 4 * blocks * pieces.len();
+        let alone = packing.skips && packing.group > 1 && 5 * filled() < 4 * blocks * pieces.len();
         let mut groups = Vec::new();
         let mut weights = Vec::new();
         let mut first = 0;
