@@ -1128,9 +1128,53 @@ fn signed_bytes_without_a_zero_point_stay_signed() {
     check_engine(&b.finish(&[&y]), shape, &input, steps, &real, "weights");
 }
 
-/// The embedded model's heads for a smooth input.
-fn heads(engine: Engine, size: (u32, u32)) -> Vec<Vec<f32>> {
-    let model = Model::embedded().unwrap().with_engine(engine);
+const EMBEDDED: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../fixtures/models/adaptive-int8.onnx"
+);
+
+/// The embedded model's file, and the same with every other block of weights (16 outputs, 4 inputs) zero, which kernels may leave out.
+fn dense_and_sparse() -> [Vec<u8>; 2] {
+    let dense = std::fs::read(EMBEDDED).unwrap();
+    let proto = tract_onnx::onnx()
+        .proto_model_for_read(&mut dense.as_slice())
+        .unwrap();
+    let mut sparse = dense.clone();
+    let mut numbers = Numbers(21);
+    for tensor in &proto.graph.as_ref().unwrap().initializer {
+        let &[outputs, inputs, rows, columns] = tensor.dims.as_slice() else {
+            continue;
+        };
+        let [outputs, inputs, taps] = [outputs, inputs, rows * columns].map(|n| n as usize);
+        if inputs < 16 || outputs < 16 {
+            continue;
+        }
+        let weights = tensor.raw_data.as_slice();
+        let start = dense.windows(weights.len()).position(|at| at == weights);
+        let weights = &mut sparse[start.unwrap()..][..weights.len()];
+        for first in (0..outputs).step_by(16) {
+            for four in (0..inputs).step_by(4) {
+                for tap in 0..taps {
+                    if numbers.below(2) == 0 {
+                        continue;
+                    }
+                    for output in first..outputs.min(first + 16) {
+                        for input in four..inputs.min(four + 4) {
+                            weights[(output * inputs + input) * taps + tap] = 0;
+                        }
+                    }
+                }
+            }
+        }
+    }
+    [dense, sparse]
+}
+
+/// A model's heads for a smooth input.
+fn heads(model: &[u8], engine: Engine, size: (u32, u32)) -> Vec<Vec<f32>> {
+    let model = Model::from_bytes(EMBEDDED.as_ref(), model)
+        .unwrap()
+        .with_engine(engine);
     let mut network = Network::new(&model, size, &["residual", "attention", "slope"]).unwrap();
     let (width, height) = (size.0 as usize, size.1 as usize);
     let wave = |index: usize| {
@@ -1150,16 +1194,18 @@ fn heads(engine: Engine, size: (u32, u32)) -> Vec<Vec<f32>> {
 
 #[test]
 fn every_kernel_and_number_of_threads_gives_the_same_bytes() {
-    // Of the smaller one the deepest layers have one pixel, less than any tile.
-    for size in [(160, 96), (32, 32)] {
-        let heads = |kernel, threads| heads(Engine::Quantized { kernel, threads }, size);
-        let reference = heads(Kernel::Portable, 1);
-        for kernel in kernels() {
-            for threads in 1..=3 {
-                assert!(
-                    heads(kernel, threads) == reference,
-                    "{size:?} {kernel:?} {threads}"
-                );
+    for (model, which) in dense_and_sparse().iter().zip(["dense", "sparse"]) {
+        // Of the smaller one the deepest layers have one pixel, less than any tile.
+        for size in [(160, 96), (32, 32)] {
+            let heads = |kernel, threads| heads(model, Engine::Quantized { kernel, threads }, size);
+            let reference = heads(Kernel::Portable, 1);
+            for kernel in kernels() {
+                for threads in 1..=3 {
+                    assert!(
+                        heads(kernel, threads) == reference,
+                        "{which} {size:?} {kernel:?} {threads}"
+                    );
+                }
             }
         }
     }
@@ -1167,11 +1213,7 @@ fn every_kernel_and_number_of_threads_gives_the_same_bytes() {
 
 #[test]
 fn the_embedded_model_is_one_island() {
-    let file = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../fixtures/models/adaptive-int8.onnx"
-    );
-    let bytes = std::fs::read(file).unwrap();
+    let bytes = std::fs::read(EMBEDDED).unwrap();
     let model = tract_onnx::onnx()
         .proto_model_for_read(&mut bytes.as_slice())
         .unwrap();

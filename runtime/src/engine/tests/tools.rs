@@ -474,21 +474,20 @@ fn files_of_other_tools_give_what_onnx_runtime_gives() {
     }
 }
 
-/// Each layer of the shipped networks, given what the engine made of the layers before it.
+/// Each layer of the shipped networks, and of one with blocks of weights that are zero, given what the engine made of the layers before it.
 #[test]
 fn every_layer_of_the_networks_is_the_nearest_step() {
     for name in ["tiny-adaptive-int8", "adaptive-int8", "large-adaptive-int8"] {
-        every_layer_is_the_nearest_step(name);
+        let file =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../fixtures/models/{name}.onnx"));
+        every_layer_is_the_nearest_step(name, &std::fs::read(file).unwrap());
     }
+    let [_, sparse] = dense_and_sparse();
+    every_layer_is_the_nearest_step("sparse", &sparse);
 }
 
-fn every_layer_is_the_nearest_step(name: &str) {
-    let file =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../fixtures/models/{name}.onnx"));
-    let bytes = std::fs::read(file).unwrap();
-    let mut model = tract_onnx::onnx()
-        .proto_model_for_read(&mut bytes.as_slice())
-        .unwrap();
+fn every_layer_is_the_nearest_step(name: &str, mut bytes: &[u8]) {
+    let mut model = tract_onnx::onnx().proto_model_for_read(&mut bytes).unwrap();
     model.graph = Some(tidy(&model, model.graph.as_ref().unwrap()));
     let graph = model.graph.as_ref().unwrap();
     let mut numbers = Numbers(9);
