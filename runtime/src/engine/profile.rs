@@ -16,7 +16,8 @@ pub struct LayerTime {
     pub operation: String,
     /// Channels, height and width of its output.
     pub shape: [usize; 3],
-    /// Multiply-adds of its weights, padding not counted.
+    /// Multiply-adds of its weights, padding not counted, and of those blocks (16 outputs, 4 inputs) that are not all zero: kernels may leave
+    /// out the others.
     pub multiply_adds: u64,
     /// Bytes that it moves at least: inputs and weights read once, its output written once.
     pub bytes: u64,
@@ -32,9 +33,12 @@ impl LayerTime {
             Operation::Convolution(convolution) => convolution.weights.len() as u64,
             _ => 0,
         };
-        let multiply_adds = |layer: &Layer| {
-            let [_, height, width] = shapes[layer.output.as_str()];
-            weights(layer) * (height * width) as u64
+        let multiply_adds = |layer: &Layer| match &layer.operation {
+            Operation::Convolution(convolution) => {
+                let [_, height, width] = shapes[layer.output.as_str()];
+                weights_of_filled_blocks(convolution) as u64 * (height * width) as u64
+            }
+            _ => 0,
         };
         let bytes = |name: &str, value: usize| {
             let values = shapes.get(name).map_or(0, |shape| shape.iter().product());
@@ -79,6 +83,31 @@ impl LayerTime {
             time: Duration::ZERO,
         }
     }
+}
+
+fn weights_of_filled_blocks(convolution: &Convolution) -> usize {
+    if convolution.depthwise {
+        return convolution.weights.len();
+    }
+    let [rows, columns] = convolution.window.kernel;
+    let taps = rows * columns;
+    let parts = |all: usize, size: usize| {
+        let starts = (0..all).step_by(size);
+        starts.map(move |start| start..all.min(start + size))
+    };
+    let mut weights = 0;
+    for outputs in parts(convolution.outputs, 16) {
+        for inputs in parts(convolution.inputs, 4) {
+            let is_filled = |tap: &usize| {
+                outputs.clone().any(|output| {
+                    let filter = convolution.filter(output);
+                    (inputs.clone()).any(|input| filter[input * taps + tap] != 0)
+                })
+            };
+            weights += (0..taps).filter(is_filled).count() * outputs.len() * inputs.len();
+        }
+    }
+    weights
 }
 
 fn channels(layer: &&Layer) -> usize {
@@ -135,5 +164,42 @@ impl Times {
 
     pub(super) fn of(&self, step: usize) -> Duration {
         Duration::from_nanos(self.0[step].load(Relaxed))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::layer::{Padding, Window};
+
+    #[test]
+    fn blocks_of_zeros_are_no_multiply_adds() {
+        // Two blocks of outputs, the second of eight, two of inputs, the second of two, nine taps.
+        let (outputs, inputs, taps) = (24, 6, 9);
+        let weights = |value: &dyn Fn(usize, usize, usize) -> i16| {
+            let values = (0..outputs).flat_map(|output| {
+                (0..inputs).flat_map(move |input| (0..taps).map(move |tap| (output, input, tap)))
+            });
+            weights_of_filled_blocks(&Convolution {
+                depthwise: false,
+                inputs,
+                outputs,
+                weights: values.map(|(o, i, t)| value(o, i, t)).collect(),
+                scales: vec![1.0; outputs],
+                bias: vec![0; outputs],
+                window: Window {
+                    kernel: [3; 2],
+                    strides: [1; 2],
+                    dilations: [1; 2],
+                    padding: Padding::Explicit([1; 4]),
+                    ceil: false,
+                },
+            })
+        };
+        assert_eq!(weights(&|_, _, _| 1), 24 * 6 * 9);
+        assert_eq!(weights(&|_, _, _| 0), 0);
+        let one = |at: (usize, usize, usize)| weights(&|o, i, t| i16::from((o, i, t) == at));
+        assert_eq!([one((15, 3, 8)), one((16, 3, 0))], [16 * 4, 8 * 4]);
+        assert_eq!([one((15, 4, 8)), one((16, 5, 0))], [16 * 2, 8 * 2]);
     }
 }
