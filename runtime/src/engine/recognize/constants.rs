@@ -24,18 +24,28 @@ pub(super) struct Integers {
 }
 
 impl Integers {
-    /// Which scale the value at `index` has.
-    pub(super) fn scale_of(&self, index: usize) -> usize {
-        place(index, self.scales.len(), self.axis, &self.shape)
+    /// The values with their scales.
+    pub(super) fn scaled(&self) -> impl Iterator<Item = (i64, f32)> {
+        runs(&self.values, self.scales.len(), self.axis, &self.shape).flat_map(|(index, run)| {
+            let scale = self.scales[index];
+            run.iter().map(move |&value| (value, scale))
+        })
     }
 }
 
-/// Index along `axis` of the value at `index`; 0 where there is one parameter for all.
-fn place(index: usize, parameters: usize, axis: usize, shape: &[usize]) -> usize {
-    match parameters {
-        1 => 0,
-        _ => index / shape[axis + 1..].iter().product::<usize>() % shape[axis],
-    }
+/// The values that follow one another with the same parameter, and which that is: one per index of `axis`, or the one there is for all.
+fn runs<'a, T>(
+    values: &'a [T],
+    parameters: usize,
+    axis: usize,
+    shape: &[usize],
+) -> impl Iterator<Item = (usize, &'a [T])> {
+    let length = match parameters {
+        1 => values.len(),
+        _ => shape[axis + 1..].iter().product(),
+    };
+    let runs = values.chunks(length.max(1)).enumerate();
+    runs.map(move |(number, run)| (number % parameters, run))
 }
 
 impl Reader<'_> {
@@ -139,11 +149,9 @@ impl Reader<'_> {
             return None;
         }
         Some(self.quantized_constant(name, nodes).map(|integers| {
-            let real = |(index, &value): (usize, &i64)| {
-                value as f32 * integers.scales[integers.scale_of(index)]
-            };
+            let reals = integers.scaled().map(|(value, scale)| value as f32 * scale);
             Constant {
-                values: integers.values.iter().enumerate().map(real).collect(),
+                values: reals.collect(),
                 shape: integers.shape.clone(),
             }
         }))
@@ -216,31 +224,31 @@ impl Reader<'_> {
         {
             return Err("the scales of its weights do not fit their shape".into());
         }
-        let parameter = |index: usize| place(index, scales.len(), axis, &shape);
-        let zero = |index: usize| {
-            zeros
-                .as_ref()
-                .map_or(0, |(zeros, ..)| zeros[parameter(index)])
-        };
-        let values = match floats {
-            None => stored
-                .iter()
-                .enumerate()
-                .map(|(index, value)| value - zero(index))
-                .collect(),
+        let zero = |index: usize| zeros.as_ref().map_or(0, |(zeros, ..)| zeros[index]);
+        let mut values = Vec::with_capacity(shape.iter().product());
+        match floats {
+            None => {
+                for (index, run) in runs(&stored, scales.len(), axis, &shape) {
+                    let zero = zero(index);
+                    values.extend(run.iter().map(|value| value - zero));
+                }
+            }
             Some(floats) => {
                 let (low, high) = match kind {
                     Some(DatumType::I8) => (-128, 127),
                     Some(DatumType::U8) => (0, 255),
                     _ => return Err("its weights are not bytes".into()),
                 };
-                let quantized = |(index, value): (usize, &f32)| {
-                    let steps = (value / scales[parameter(index)]).round_ties_even() as i64;
-                    (steps + zero(index)).clamp(low, high) - zero(index)
-                };
-                floats.iter().enumerate().map(quantized).collect()
+                for (index, run) in runs(&floats, scales.len(), axis, &shape) {
+                    let (scale, zero) = (scales[index], zero(index));
+                    let quantized = |value: &f32| {
+                        let steps = (value / scale).round_ties_even() as i64;
+                        steps.saturating_add(zero).clamp(low, high) - zero
+                    };
+                    values.extend(run.iter().map(quantized));
+                }
             }
-        };
+        }
         Ok(Integers {
             values,
             shape,

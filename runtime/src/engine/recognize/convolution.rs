@@ -105,10 +105,8 @@ impl Reader<'_> {
                 let integers = self
                     .quantized_constant(name, nodes)
                     .map_err(|_| "its bias is not a constant")?;
-                let real = |(index, &value): (usize, &i64)| {
-                    value as f64 * f64::from(integers.scales[integers.scale_of(index)])
-                };
-                integers.values.iter().enumerate().map(real).collect()
+                let real = |(value, scale)| value as f64 * f64::from(scale);
+                integers.scaled().map(real).collect()
             }
         };
         if reals.len() != scales.len() {

@@ -520,6 +520,58 @@ fn extreme_bytes_and_weights_are_the_nearest_step() {
     }
 }
 
+/// By channel, with the zero points of their own, and what is beyond all bytes is the farthest one.
+#[test]
+fn weights_quantized_on_the_spot_are_the_nearest_bytes() {
+    let shape = [2, 1, 2];
+    let [from, out] = [0.02, 0.05].map(|scale| Steps {
+        signed: false,
+        zero: 100,
+        scale,
+    });
+    let (scales, zeros) = ([0.1_f32, 0.01, 0.02], [128_u8, 3, 255]);
+    let weights = [
+        [0.31_f32, -0.28],
+        [f32::MAX, f32::NEG_INFINITY],
+        [0.049, f32::INFINITY],
+    ];
+    let mut b = Builder::new(shape);
+    let x = b.quantized("x", from);
+    let real = b.floats(&[3, 2, 1, 1], weights.as_flattened());
+    let scale = b.floats(&[3], &scales);
+    let zero = b.constant(DataType::Uint8, &[3], zeros.to_vec());
+    let parameters = [real.as_str(), &scale, &zero];
+    let axis = || vec![int("axis", 0)];
+    let bytes = b.node("QuantizeLinear", &parameters, axis());
+    let w = b.node("DequantizeLinear", &[&bytes, &scale, &zero], axis());
+    let y = b.node("Conv", &[&x, &w], vec![]);
+    let y = b.quantized(&y, out);
+    // [channel][pixel]
+    let input = [[0.5_f32, -0.3], [-0.2, 0.7]];
+    let nearest = |output: usize, input: usize| {
+        let (scale, zero) = (f64::from(scales[output]), f64::from(zeros[output]));
+        let byte = (f64::from(weights[output][input]) / scale).round_ties_even() + zero;
+        (byte.clamp(0.0, 255.0) - zero) * scale
+    };
+    let real: Vec<f64> = (0..3)
+        .flat_map(|output| {
+            [0, 1].map(|pixel| {
+                (0..2)
+                    .map(|channel| nearest(output, channel) * f64::from(input[channel][pixel]))
+                    .sum()
+            })
+        })
+        .collect();
+    check(
+        &b.finish(&[&y]),
+        shape,
+        input.as_flattened(),
+        out,
+        &real,
+        "weights quantized on the spot",
+    );
+}
+
 /// Infinity times 0 is no number: such a layer is refused, and the model left to tract.
 #[test]
 fn scales_whose_ratio_is_infinite_are_refused() {
