@@ -225,7 +225,7 @@ impl Reader<'_> {
             return Err("the scales of its weights do not fit their shape".into());
         }
         let zero = |index: usize| zeros.as_ref().map_or(0, |(zeros, ..)| zeros[index]);
-        let mut values = Vec::with_capacity(shape.iter().product());
+        let mut values = Vec::with_capacity(floats.as_ref().map_or(stored.len(), Vec::len));
         match floats {
             None => {
                 for (index, run) in runs(&stored, scales.len(), axis, &shape) {
