@@ -108,18 +108,17 @@ pub struct FusedMaps<'a> {
 }
 
 /// Scratch values that any mode needs for this output, heads of at most the width `head_width` and this many slope
-/// classes (0 where there is no slope head).
+/// classes: 0 where there is no slope head, and 1 is enough for any number decoded at the head's size.
 pub const fn scratch_len(output: ImageSize, head_width: u32, slope_classes: usize) -> usize {
     let (out, head) = (output.width() as usize, head_width as usize);
-    // Rows of ground, attention and tangents; the residual is made in the output.
-    let rows = 3 * out;
-    let planes = upsample::scratch_len(1, head, out).saturating_mul(2);
+    let planes = decode::plane_scratch_len(head, out).saturating_mul(2);
     let slope = if slope_classes > 0 {
         decode::slope_scratch_len(slope_classes, head, out)
     } else {
         0
     };
-    rows.saturating_add(planes).saturating_add(slope)
+    // And a row of ground.
+    out.saturating_add(planes).saturating_add(slope)
 }
 
 impl Fusion {
@@ -191,9 +190,10 @@ impl Fusion {
         let unit = residual.unit.metres()?;
         let mut residual = Plane::residual(residual, self.upsampling, output, &mut scratch)?;
         for (v, depth) in rows.zip(depth.chunks_exact_mut(output.row())) {
-            residual.row(v, depth)?;
-            for depth in depth {
-                *depth = clamp(unit * *depth, self.depth.min, self.depth.max);
+            residual.advance(v)?;
+            let z = residual.row();
+            for (depth, pair) in depth.iter_mut().zip(z.pairs()) {
+                *depth = clamp(unit * z.value(pair), self.depth.min, self.depth.max);
             }
         }
         Ok(())
@@ -261,23 +261,22 @@ impl Fusion {
         let mut scratch = Scratch::new(scratch);
         let slope = match slope {
             Some(slope) => {
-                let tangents = scratch.take(output.width() as usize)?;
                 let climb = slope.classes.steepest_climb();
                 let slope = SlopeTangent::new(slope, self.upsampling, output, &mut scratch)?;
-                Some((slope, climb, tangents))
+                Some((slope, climb))
             }
             None => None,
         };
         self.fuse(ground, slope, residual, attention, &mut scratch, maps)
     }
 
-    /// Fuses row by row; `slope` comes with the tangent of its steepest climb, and with memory for a row of tangents.
+    /// Fuses row by row; `slope` comes with the tangent of its steepest climb.
     // Firmware has no vectors to be compiled for, and less memory for copies.
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn fuse<'s, G: GroundRows + ?Sized>(
         &self,
         ground: &G,
-        mut slope: Option<(SlopeTangent<'_, 's>, f32, &'s mut [f32])>,
+        mut slope: Option<(SlopeTangent<'_, 's>, f32)>,
         residual: &ResidualHead<'_>,
         attention: Option<&AttentionHead<'_>>,
         scratch: &mut Scratch<'s>,
@@ -296,22 +295,16 @@ impl Fusion {
             .map(|head| Plane::attention(head, self.upsampling, output, scratch))
             .transpose()?;
         let per_height = 1.0 / ground.camera_height();
-        let climb = slope.as_ref().map_or(0.0, |(_, climb, _)| *climb);
+        let climb = slope.as_ref().map_or(0.0, |(_, climb)| *climb);
         let least = self.least_ground(ground.camera_height(), climb);
         let ground_row = scratch.take(width)?;
-        let attention_row = scratch.take(width)?;
-        attention_row.fill(0.0);
         let mut attention_map = maps.attention.map(|map| map.chunks_exact_mut(width));
         let mut ground_map = maps.ground.map(|map| map.chunks_exact_mut(width));
         for (v, depth_row) in rows.zip(maps.depth.chunks_exact_mut(width)) {
             // A loop, so that there is one copy of what upsamples and decodes.
-            let planes = [
-                (Some(&mut residual), &mut *depth_row),
-                (attention.as_mut(), &mut *attention_row),
-            ];
-            for (plane, row) in planes {
+            for plane in [Some(&mut residual), attention.as_mut()] {
                 let Some(plane) = plane else { continue };
-                plane.row(v, row)?;
+                plane.advance(v)?;
             }
             // Half of a picture lies above all ground, whatever its slope: no slopes, no divisions.
             let bound = ground.row_bound(v);
@@ -323,32 +316,47 @@ impl Fusion {
                     ground_ahead = ground_row.iter().any(|inverse| *inverse >= least);
                 }
             }
-            if ground_ahead {
-                let values = depth_row.iter_mut().zip(ground_row.iter_mut());
-                let values = values.zip(attention_row.iter());
-                if let Some((slope, _, tangents)) = &mut slope {
-                    slope.row(v, tangents)?;
-                    for (((depth, ground), m), tangent) in values.zip(tangents.iter()) {
-                        *ground = self.ground_depth(*ground - tangent * per_height);
-                        *depth = self.blend(unit * *depth, *m, *ground);
-                    }
-                } else {
-                    for ((depth, ground), m) in values {
-                        *ground = self.ground_depth(*ground);
-                        *depth = self.blend(unit * *depth, *m, *ground);
+            if let (true, Some((slope, _))) = (ground_ahead, &mut slope) {
+                slope.advance(v)?;
+                let tangents = slope.row();
+                for (ground, pair) in ground_row.iter_mut().zip(tangents.pairs()) {
+                    *ground -= tangents.value(pair) * per_height;
+                }
+            }
+            let z = residual.row();
+            let m = attention.as_ref().map(Plane::row);
+            let values = depth_row.iter_mut().zip(z.pairs());
+            match m {
+                None => {
+                    for (depth, z_pair) in values {
+                        *depth = self.blend(unit * z.value(z_pair), 0.0, 0.0);
                     }
                 }
-            } else {
-                for (depth, m) in depth_row.iter_mut().zip(attention_row.iter()) {
-                    *depth = self.blend(unit * *depth, *m, 0.0);
+                Some(m) if ground_ahead => {
+                    for (((depth, z_pair), m_pair), ground) in
+                        values.zip(m.pairs()).zip(ground_row.iter())
+                    {
+                        let ground = self.ground_depth(*ground);
+                        *depth = self.blend(unit * z.value(z_pair), m.value(m_pair), ground);
+                    }
+                }
+                Some(m) => {
+                    for ((depth, z_pair), m_pair) in values.zip(m.pairs()) {
+                        *depth = self.blend(unit * z.value(z_pair), m.value(m_pair), 0.0);
+                    }
                 }
             }
             if let Some(row) = attention_map.as_mut().and_then(Iterator::next) {
-                copy(attention_row, row);
+                match m {
+                    Some(m) => m.write(row),
+                    None => row.fill(0.0),
+                }
             }
             if let Some(row) = ground_map.as_mut().and_then(Iterator::next) {
                 if ground_ahead {
-                    copy(ground_row, row);
+                    for (depth, inverse) in row.iter_mut().zip(ground_row.iter()) {
+                        *depth = self.ground_depth(*inverse);
+                    }
                 } else {
                     row.fill(0.0);
                 }
@@ -387,14 +395,6 @@ fn check_length(needed: usize, map: &[f32]) -> Result<(), Error> {
         });
     }
     Ok(())
-}
-
-/// `copy_from_slice` without code for a panic; the lengths are equal.
-#[inline(always)]
-fn copy(from: &[f32], to: &mut [f32]) {
-    for (to, from) in to.iter_mut().zip(from) {
-        *to = *from;
-    }
 }
 
 /// Hands out pieces of the caller's scratch memory.

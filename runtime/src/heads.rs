@@ -85,8 +85,25 @@ impl<'a> Heads<'a> {
 
     /// Scratch values that fusing them takes.
     fn scratch_len(&self, output: ImageSize) -> usize {
-        let classes = self.slope.map_or(0, |slope| slope.classes.radians().len());
-        scratch_len(output, self.residual.map.size().width(), classes)
+        let classes = self.slope.map_or(0, |slope| match slope.decode_at {
+            DecodeAt::HeadSize => 1,
+            DecodeAt::OutputSize => slope.classes.radians().len(),
+        });
+        let others = [
+            self.attention.map(|head| head.map),
+            self.slope.map(|head| head.map),
+        ];
+        let widest = others
+            .into_iter()
+            .flatten()
+            .fold(self.residual.map, |wider, map| {
+                if map.size().width() > wider.size().width() {
+                    map
+                } else {
+                    wider
+                }
+            });
+        scratch_len(output, widest.size().width(), classes)
     }
 }
 
@@ -132,6 +149,16 @@ fn take<'a>(map: &mut &'a mut [f32], values: usize) -> &'a mut [f32] {
     map.split_off_mut(..values).unwrap_or_default()
 }
 
+/// So many values of a thread's memory from the start of a cache line on: most widths are whole lines, and a vector that lies in
+/// two takes two loads.
+fn from_line(memory: &mut Vec<f32>, values: usize) -> &mut [f32] {
+    const LINE: usize = 64;
+    let spare = LINE / size_of::<f32>();
+    memory.resize(values + spare, 0.0);
+    let start = memory.as_ptr().align_offset(LINE).min(spare);
+    memory.get_mut(start..start + values).unwrap_or_default()
+}
+
 /// Fuses the outputs of a run into `maps`, on the threads that ran the network where they are given. After the first
 /// time it allocates nothing, so long as `scratch` is the same.
 pub(crate) fn fuse(
@@ -167,7 +194,6 @@ pub(crate) fn fuse(
     let all: usize = (0..size.height()).map(work).sum();
     let (mut done, mut end) = (0, 0);
     for ((number, stripe), scratch) in (1..=threads).zip(&mut stripes).zip(scratch) {
-        scratch.resize(heads.scratch_len(size), 0.0);
         let first = end;
         while end < size.height() && done * threads < all * number {
             done += work(end);
@@ -179,7 +205,7 @@ pub(crate) fn fuse(
             fusion: fusion.rows(rows),
             heads,
             ground,
-            scratch,
+            scratch: from_line(scratch, heads.scratch_len(size)),
             maps: FusedMaps {
                 depth: take(&mut maps.depth, values),
                 attention: maps.attention.as_mut().map(|map| take(map, values)),
@@ -203,4 +229,70 @@ pub(crate) fn fuse(
     }
     let failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
     failed.map_or(Ok(()), |e| Err(outputs.unfit(e)))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use gedepth_core::camera::ImageSize;
+    use gedepth_core::fusion::{
+        AttentionHead, AttentionUnit, DecodeAt, DepthRange, FusedMaps, Fusion, HeadMap,
+        ResidualHead, ResidualUnit, Samples, SlopeHead, Upsampling,
+    };
+    use gedepth_core::slope::{SlopeClasses, SlopeSign};
+    use gedepth_core::table::GroundView;
+
+    use super::{Heads, from_line};
+
+    /// Any head may be the widest, and slopes may be decoded at either size.
+    #[test]
+    fn heads_of_any_width_find_room() {
+        let output = ImageSize::new(24, 8).unwrap();
+        let inverse = vec![0.1; output.pixels()];
+        let ground = GroundView::from_values(&inverse, output, 1.5).unwrap();
+        let angles = [-0.02, 0.0, 0.02].map(gedepth_core::Angle::from_radians);
+        let classes = SlopeClasses::new(&angles, SlopeSign::DownhillPositive).unwrap();
+        let range = DepthRange::new(0.5, 80.0).unwrap();
+        let fusion = Fusion::new(Upsampling::AlignCorners, range, 80.0).unwrap();
+        let values = vec![0.5; 3 * 30 * 4];
+        for widths in [[5, 11, 7], [11, 5, 7], [5, 7, 11], [30, 3, 29], [3, 30, 12]] {
+            for decode_at in [DecodeAt::HeadSize, DecodeAt::OutputSize] {
+                let map = |width: u32, channels: usize| {
+                    let size = ImageSize::new(width, 4).unwrap();
+                    let values = &values[..channels * size.pixels()];
+                    HeadMap::new(Samples::F32(values), channels, size).unwrap()
+                };
+                let heads = Heads {
+                    residual: ResidualHead {
+                        map: map(widths[0], 1),
+                        unit: ResidualUnit::Metres,
+                        decode_at: DecodeAt::HeadSize,
+                    },
+                    attention: Some(AttentionHead {
+                        map: map(widths[1], 1),
+                        unit: AttentionUnit::Probability,
+                        decode_at: DecodeAt::HeadSize,
+                    }),
+                    slope: Some(SlopeHead {
+                        map: map(widths[2], 3),
+                        classes: &classes,
+                        decode_at,
+                    }),
+                };
+                let (mut memory, mut depth) = (Vec::new(), vec![0.0; output.pixels()]);
+                let fused = fusion.any_mode(
+                    &ground,
+                    &heads.residual,
+                    heads.attention.as_ref(),
+                    heads.slope.as_ref(),
+                    from_line(&mut memory, heads.scratch_len(output)),
+                    FusedMaps {
+                        depth: &mut depth,
+                        ..FusedMaps::default()
+                    },
+                );
+                assert_eq!(fused, Ok(()), "{widths:?}, {decode_at:?}");
+            }
+        }
+    }
 }

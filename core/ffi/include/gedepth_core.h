@@ -459,8 +459,8 @@ int32_t gedepth_core_fuse_adaptive(const struct gedepth_core_fusion *settings,
                                    const struct gedepth_core_maps *maps);
 
 // Elements of scratch memory that fusion takes at most, for a picture of this size, heads of at most head_width columns and
-// this many slope classes (0 for the baseline and vanilla); 0 for a picture size that is refused. Also
-// GEDEPTH_CORE_SCRATCH_LEN.
+// this many slope classes (0 for the baseline and vanilla; 1 is enough for any number decoded at the head's size); 0 for a
+// picture size that is refused. Also GEDEPTH_CORE_SCRATCH_LEN.
 size_t gedepth_core_scratch_len(uint32_t width,
                                 uint32_t height,
                                 uint32_t head_width,
@@ -570,11 +570,11 @@ size_t gedepth_core_rays_len(uint32_t width, uint32_t height);
 #define GEDEPTH_CORE_ROWS_LEN(width, height) ((size_t)(height))
 #define GEDEPTH_CORE_RAYS_LEN(width, height) (2 * (size_t)(width) * (size_t)(height))
 #define GEDEPTH_CORE_SCRATCH_LEN(width, height, head_width, slope_classes)                          \
-  (5 * (size_t)(width) + 8 * (size_t)(head_width) +                                                 \
+  (9 * (size_t)(width) + 4 * (size_t)(head_width) +                                                 \
    ((slope_classes) > 0                                                                             \
-        ? (2 * (size_t)(slope_classes) + 2) * (size_t)(head_width) + (size_t)(width) +              \
-              ((size_t)(slope_classes) + 2) *                                                       \
-                  ((size_t)(width) > (size_t)(head_width) ? (size_t)(width) : (size_t)(head_width)) \
+        ? (2 * (size_t)(slope_classes) + 1) * (size_t)(width) +                                     \
+              ((size_t)(slope_classes) + 1) * (size_t)(head_width) +                                \
+              3 * ((size_t)(width) > (size_t)(head_width) ? (size_t)(width) : (size_t)(head_width)) \
         : 0))
 
 #ifndef GEDEPTH_CORE_LAYOUT

@@ -412,8 +412,8 @@ unsafe fn fuse(
 }
 
 /// Elements of scratch memory that fusion takes at most, for a picture of this size, heads of at most head_width columns and
-/// this many slope classes (0 for the baseline and vanilla); 0 for a picture size that is refused. Also
-/// GEDEPTH_CORE_SCRATCH_LEN.
+/// this many slope classes (0 for the baseline and vanilla; 1 is enough for any number decoded at the head's size); 0 for a
+/// picture size that is refused. Also GEDEPTH_CORE_SCRATCH_LEN.
 #[unsafe(no_mangle)]
 pub extern "C" fn gedepth_core_scratch_len(
     width: u32,

@@ -2,9 +2,8 @@
 
 use super::head::{
     AttentionHead, AttentionUnit, DecodeAt, HeadMap, ResidualHead, ResidualUnit, check_finite,
-    decode_row,
 };
-use super::upsample::{self, SourceRows, Upsampler, Upsampling};
+use super::upsample::{self, Between, SourceRows, Upsampler, Upsampling};
 use super::{Scratch, SlopeHead};
 use crate::Error;
 use crate::camera::ImageSize;
@@ -31,17 +30,6 @@ impl Decoding {
             Self::LogMetres => each(row, log_metres),
             Self::Logit => each(row, logit),
             Self::Probability => each(row, probability),
-        }
-    }
-
-    /// Writes what the numbers of a head say. Errs if one is NaN or beyond [`HEAD_VALUE_MAX`](super::HEAD_VALUE_MAX).
-    #[inline(always)]
-    fn row(self, head: Head, numbers: &[f32], row: &mut [f32]) -> Result<(), Error> {
-        match self {
-            Self::Metres => decode_row(head, numbers, row, metres),
-            Self::LogMetres => decode_row(head, numbers, row, log_metres),
-            Self::Logit => decode_row(head, numbers, row, logit),
-            Self::Probability => decode_row(head, numbers, row, probability),
         }
     }
 }
@@ -76,8 +64,14 @@ fn probability(value: f32) -> f32 {
 /// A head of one channel on its way to the output's size.
 pub(super) struct Plane<'a, 's> {
     source: PlaneRows<'a>,
-    late: Option<Decoding>,
     upsampler: Upsampler<'s>,
+    /// Where raw values are upsampled: what decodes them then, and the row.
+    late: Option<(Decoding, &'s mut [f32])>,
+}
+
+/// Scratch that a [`Plane`] takes, wherever it is decoded.
+pub(super) const fn plane_scratch_len(input_width: usize, output_width: usize) -> usize {
+    upsample::scratch_len(1, input_width, output_width).saturating_add(output_width)
 }
 
 /// Its rows at its own size.
@@ -91,16 +85,11 @@ impl SourceRows for PlaneRows<'_> {
     // Firmware has no vectors to be compiled for, and less memory for copies.
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error> {
-        match (self.decoding, self.map.numbers(0, y)) {
-            (Some(decoding), Some(numbers)) => decoding.row(self.head, numbers, row),
-            (decoding, _) => {
-                self.map.write_row((0, self.head), y, row)?;
-                if let Some(decoding) = decoding {
-                    decoding.in_place(row);
-                }
-                Ok(())
-            }
+        self.map.write_row((0, self.head), y, row)?;
+        if let Some(decoding) = self.decoding {
+            decoding.in_place(row);
         }
+        Ok(())
     }
 }
 
@@ -161,7 +150,10 @@ impl<'a, 's> Plane<'a, 's> {
         map.single()?;
         let (early, late) = match decode_at {
             DecodeAt::HeadSize => (Some(decoding), None),
-            DecodeAt::OutputSize => (None, Some(decoding)),
+            DecodeAt::OutputSize => {
+                let row = scratch.take(output.width() as usize)?;
+                (None, Some((decoding, row)))
+            }
         };
         Ok(Self {
             source: PlaneRows {
@@ -174,15 +166,25 @@ impl<'a, 's> Plane<'a, 's> {
         })
     }
 
-    /// Writes the decoded output row `v`.
+    /// Makes output row `v`.
     // Firmware has no vectors to be compiled for, and less memory for copies.
     #[cfg_attr(not(target_os = "none"), inline(always))]
-    pub(super) fn row(&mut self, v: u32, out: &mut [f32]) -> Result<(), Error> {
-        self.upsampler.row(v, out, &mut self.source)?;
-        if let Some(decoding) = self.late {
-            decoding.in_place(out);
+    pub(super) fn advance(&mut self, v: u32) -> Result<(), Error> {
+        self.upsampler.advance(v, &mut self.source)?;
+        if let Some((decoding, row)) = &mut self.late {
+            self.upsampler.between().write(row);
+            decoding.in_place(row);
         }
         Ok(())
+    }
+
+    /// The decoded row that [`Self::advance`] made.
+    #[inline(always)]
+    pub(super) fn row(&self) -> Between<'_> {
+        match &self.late {
+            Some((_, row)) => Between::itself(row),
+            None => self.upsampler.between(),
+        }
     }
 }
 
@@ -190,8 +192,9 @@ impl<'a, 's> Plane<'a, 's> {
 pub(super) struct SlopeTangent<'a, 's> {
     source: SlopeRows<'a, 's>,
     upsampler: Upsampler<'s>,
-    /// Where logits are upsampled: what decodes them then.
-    late: Option<(&'s mut [f32], Softmax<'a, 's>)>,
+    width: usize,
+    /// Where logits are upsampled: what decodes them then, and the row.
+    late: Option<(Softmax<'a, 's>, &'s mut [f32])>,
 }
 
 /// What is upsampled. Not a type each: all of the upsampling is inlined, and would be there twice.
@@ -240,8 +243,8 @@ pub(super) const fn slope_scratch_len(
     } else {
         output_width
     };
-    let rows = classes.saturating_add(2).saturating_mul(wider);
-    upsample::scratch_len(classes, input_width, output_width).saturating_add(rows)
+    upsample::scratch_len(classes, input_width, output_width)
+        .saturating_add(wider.saturating_mul(3))
 }
 
 impl<'a, 's> SlopeTangent<'a, 's> {
@@ -262,7 +265,7 @@ impl<'a, 's> SlopeTangent<'a, 's> {
         let early = head.decode_at == DecodeAt::HeadSize;
         let width = if early { input } else { output }.width() as usize;
         let channels = if early { 1 } else { angles.len() };
-        let logits = scratch.take(channels.saturating_mul(width))?;
+        let row = scratch.take(width)?;
         let softmax = Softmax {
             angles,
             largest: scratch.take(width)?,
@@ -272,60 +275,61 @@ impl<'a, 's> SlopeTangent<'a, 's> {
         let (source, late) = if early {
             let tangents = TangentRows {
                 map,
-                logits,
+                logits: row,
                 softmax,
             };
             (SlopeRows::Tangents(tangents), None)
         } else {
-            (
-                SlopeRows::Logits(LogitRows { map }),
-                Some((logits, softmax)),
-            )
+            (SlopeRows::Logits(LogitRows { map }), Some((softmax, row)))
         };
         Ok(Self {
             source,
             upsampler,
+            width: output.width() as usize,
             late,
         })
     }
 
-    /// Writes the tangents of output row `v`.
+    /// Makes the tangents of output row `v`.
     // Firmware has no vectors to be compiled for, and less memory for copies.
     #[cfg_attr(not(target_os = "none"), inline(always))]
-    pub(super) fn row(&mut self, v: u32, out: &mut [f32]) -> Result<(), Error> {
-        let upsampled = match &mut self.late {
-            Some((logits, _)) => &mut **logits,
-            None => &mut *out,
-        };
-        self.upsampler.row(v, upsampled, &mut self.source)?;
-        if let Some((logits, softmax)) = &mut self.late {
-            let rows = logits.chunks_exact(out.len().max(1));
-            softmax.begin();
-            for row in rows.clone() {
-                softmax.raise(row);
+    pub(super) fn advance(&mut self, v: u32) -> Result<(), Error> {
+        self.upsampler.advance(v, &mut self.source)?;
+        if let Some((softmax, tangents)) = &mut self.late {
+            let logits = self.upsampler.between();
+            softmax.begin(tangents);
+            for class in 0..softmax.angles.len() {
+                softmax.raise(logits.channel(class, self.width));
             }
-            out.fill(0.0);
-            for (class, row) in rows.enumerate() {
-                softmax.accumulate(class, row, out);
+            for class in 0..softmax.angles.len() {
+                softmax.accumulate(class, logits.channel(class, self.width), tangents);
             }
-            softmax.finish(out);
+            softmax.finish(tangents);
         }
         Ok(())
+    }
+
+    /// The tangents that [`Self::advance`] made.
+    #[inline(always)]
+    pub(super) fn row(&self) -> Between<'_> {
+        match &self.late {
+            Some((_, tangents)) => Between::itself(tangents),
+            None => self.upsampler.between(),
+        }
     }
 }
 
 impl SourceRows for TangentRows<'_, '_> {
     #[inline(always)]
     fn write_row(&mut self, y: u32, row: &mut [f32]) -> Result<(), Error> {
-        self.softmax.begin();
+        self.softmax.begin(row);
         for class in 0..self.map.channels() {
             let logits = self.map.row(class, y, self.logits);
             check_finite(logits, Head::Slope)?;
-            self.softmax.raise(logits);
+            self.softmax.raise(Between::itself(logits));
         }
-        row.fill(0.0);
         for class in 0..self.map.channels() {
-            let logits = self.map.row(class, y, self.logits);
+            let logits = Between::itself(self.map.row(class, y, self.logits));
             self.softmax.accumulate(class, logits, row);
         }
         self.softmax.finish(row);
@@ -347,21 +351,22 @@ impl SourceRows for LogitRows<'_> {
 impl Softmax<'_, '_> {
     /// Starts a row: first [`Self::raise`] with all classes, then [`Self::accumulate`] with all, then [`Self::finish`].
     #[inline(always)]
-    fn begin(&mut self) {
+    fn begin(&mut self, weighted: &mut [f32]) {
         self.largest.fill(f32::MIN);
         self.sum.fill(0.0);
+        weighted.fill(0.0);
     }
 
     #[inline(always)]
-    fn raise(&mut self, logits: &[f32]) {
-        for (largest, logit) in self.largest.iter_mut().zip(logits) {
-            *largest = largest.max(*logit);
+    fn raise(&mut self, logits: Between<'_>) {
+        for (largest, pair) in self.largest.iter_mut().zip(logits.pairs()) {
+            *largest = largest.max(logits.value(pair));
         }
     }
 
     /// Adds one class to the sums of weights and of weighted angles.
     #[inline(always)]
-    fn accumulate(&mut self, class: usize, logits: &[f32], weighted: &mut [f32]) {
+    fn accumulate(&mut self, class: usize, logits: Between<'_>, weighted: &mut [f32]) {
         let angle = self.angles.get(class).copied().unwrap_or(0.0);
         accumulate(weighted, self.sum, logits, self.largest, angle);
     }
@@ -377,10 +382,16 @@ impl Softmax<'_, '_> {
 
 /// A function of its own: as arguments, slices are known not to overlap, without which this does not vectorize.
 #[inline(always)]
-fn accumulate(weighted: &mut [f32], sum: &mut [f32], logits: &[f32], largest: &[f32], angle: f32) {
-    for (((weighted, sum), logit), largest) in weighted.iter_mut().zip(sum).zip(logits).zip(largest)
-    {
-        let weight = exp(logit - largest);
+fn accumulate(
+    weighted: &mut [f32],
+    sum: &mut [f32],
+    logits: Between<'_>,
+    largest: &[f32],
+    angle: f32,
+) {
+    let sums = weighted.iter_mut().zip(sum);
+    for (((weighted, sum), pair), largest) in sums.zip(logits.pairs()).zip(largest) {
+        let weight = exp(logits.value(pair) - largest);
         *sum += weight;
         *weighted += weight * angle;
     }

@@ -140,27 +140,17 @@ impl<'a> HeadMap<'a> {
         row: &mut [f32],
     ) -> Result<(), Error> {
         match self.numbers(channel, y) {
-            Some(numbers) => decode_row(head, numbers, row, |number| number),
+            Some(numbers) => {
+                let mut largest = 0;
+                for (out, number) in row.iter_mut().zip(numbers) {
+                    largest = largest.max(magnitude(*number));
+                    *out = *number;
+                }
+                finite(largest, head)
+            }
             None => check_finite(self.row(channel, y, row), head),
         }
     }
-}
-
-/// Writes what `decode`, a function that is itself `#[inline(always)]`, makes of each number to `row`. Errs if one is NaN or
-/// beyond [`HEAD_VALUE_MAX`].
-#[inline(always)]
-pub(super) fn decode_row(
-    head: Head,
-    numbers: &[f32],
-    row: &mut [f32],
-    decode: impl Fn(f32) -> f32,
-) -> Result<(), Error> {
-    let mut largest = 0;
-    for (out, number) in row.iter_mut().zip(numbers) {
-        largest = largest.max(magnitude(*number));
-        *out = decode(*number);
-    }
-    finite(largest, head)
 }
 
 /// Errs if a value of this head is NaN or beyond [`HEAD_VALUE_MAX`].

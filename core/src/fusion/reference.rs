@@ -35,7 +35,6 @@ pub const fn reference_scratch_len(
     let (input, decoder) = (input.width() as usize, decoder_width as usize);
     let slope = if slope_classes > 0 {
         super::decode::slope_scratch_len(slope_classes, slope_width as usize, input)
-            .saturating_add(input)
     } else {
         0
     };
@@ -105,10 +104,7 @@ impl ReferenceFusion {
             decode_at: DecodeAt::OutputSize,
             ..*slope
         };
-        let slope = (
-            SlopeTangent::new(&slope, Upsampling::HalfPixel, input, scratch)?,
-            scratch.take(input.width() as usize)?,
-        );
+        let slope = SlopeTangent::new(&slope, Upsampling::HalfPixel, input, scratch)?;
         self.fuse(ground, Some(slope), residual, attention, scratch, depth)
     }
 
@@ -116,7 +112,7 @@ impl ReferenceFusion {
     fn fuse<'s, G: GroundRows + ?Sized>(
         &self,
         ground: &G,
-        slope: Option<(SlopeTangent<'_, 's>, &'s mut [f32])>,
+        slope: Option<SlopeTangent<'_, 's>>,
         residual: &HeadMap<'_>,
         attention: &HeadMap<'_>,
         scratch: &mut Scratch<'s>,
@@ -157,7 +153,7 @@ impl ReferenceFusion {
 struct GroundTimesAttention<'a, 's, G: ?Sized> {
     settings: &'a ReferenceFusion,
     ground: &'a G,
-    slope: Option<(SlopeTangent<'a, 's>, &'s mut [f32])>,
+    slope: Option<SlopeTangent<'a, 's>>,
     attention: &'a HeadMap<'a>,
 }
 
@@ -173,10 +169,11 @@ impl<G: GroundRows + ?Sized> SourceRows for GroundTimesAttention<'_, '_, G> {
         for value in ground.iter_mut() {
             *value *= h;
         }
-        if let Some((slope, tangents)) = &mut self.slope {
-            slope.row(y, tangents)?;
-            for (value, tangent) in ground.iter_mut().zip(tangents.iter()) {
-                *value = *value - tangent - 1e-8;
+        if let Some(slope) = &mut self.slope {
+            slope.advance(y)?;
+            let tangents = slope.row();
+            for (value, pair) in ground.iter_mut().zip(tangents.pairs()) {
+                *value = *value - tangents.value(pair) - 1e-8;
             }
         }
         for (value, m) in ground.iter_mut().zip(attention.iter()) {

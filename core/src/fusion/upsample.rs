@@ -31,15 +31,70 @@ impl Upsampling {
     }
 }
 
-/// Scratch that an upsampler of so many channels takes: two source rows of each, the mixture of two, and a number for each
-/// column of source and output.
+/// Scratch that an upsampler of so many channels takes: a source row of each, two of them as wide as the output, and a number
+/// for each column of source and output.
 pub(super) const fn scratch_len(channels: usize, input_width: usize, output_width: usize) -> usize {
-    channels
-        .saturating_mul(2)
-        .saturating_add(2)
-        .saturating_mul(input_width)
+    let rows = output_width.saturating_mul(2).saturating_add(input_width);
+    rows.saturating_mul(channels)
+        .saturating_add(input_width)
         .saturating_add(output_width)
 }
+
+/// A row between two others.
+#[derive(Clone, Copy)]
+pub(super) struct Between<'r> {
+    pub(super) above: &'r [f32],
+    pub(super) below: &'r [f32],
+    /// Of the latter.
+    pub(super) share: f32,
+}
+
+impl<'r> Between<'r> {
+    /// A row that is there.
+    #[inline(always)]
+    pub(super) fn itself(row: &'r [f32]) -> Self {
+        Self {
+            above: row,
+            below: row,
+            share: 0.0,
+        }
+    }
+
+    /// A channel of rows of this width, one after the other.
+    #[inline(always)]
+    pub(super) fn channel(self, channel: usize, width: usize) -> Self {
+        let row = channel * width..(channel + 1) * width;
+        let [above, below] =
+            [self.above, self.below].map(|rows| rows.get(row.clone()).unwrap_or_default());
+        Self {
+            above,
+            below,
+            ..self
+        }
+    }
+
+    /// What each value lies between: for loops over several rows, which compilers see through where no closure is in the way.
+    #[inline(always)]
+    pub(super) fn pairs(self) -> Pairs<'r> {
+        self.above.iter().zip(self.below)
+    }
+
+    /// The value between these.
+    #[inline(always)]
+    pub(super) fn value(self, (above, below): (&f32, &f32)) -> f32 {
+        lerp(*above, *below, self.share)
+    }
+
+    /// Writes its values.
+    #[inline(always)]
+    pub(super) fn write(self, row: &mut [f32]) {
+        for (out, pair) in row.iter_mut().zip(self.pairs()) {
+            *out = self.value(pair);
+        }
+    }
+}
+
+type Pairs<'r> = core::iter::Zip<core::slice::Iter<'r, f32>, core::slice::Iter<'r, f32>>;
 
 /// What is upsampled. A trait and not a closure: closures cannot be `#[inline(always)]`, and what is not inlined does not
 /// get the caller's vectors.
@@ -67,16 +122,19 @@ enum Columns<'s> {
 }
 
 /// Planes on their way from their own size to the output's, row by row; a row holds the rows of all channels, one after
-/// the other.
+/// the other. First columns, once for each source row, then rows: these in the loop that wants them, without a pass of their own.
 pub(super) struct Upsampler<'s> {
     upsampling: Upsampling,
     input: ImageSize,
     output: ImageSize,
     columns: Columns<'s>,
-    /// Decoded source rows; row y is kept in slot y % 2.
+    /// A decoded source row.
+    source: &'s mut [f32],
+    /// Source rows as wide as the output; row y is kept in slot y % 2.
     rows: [&'s mut [f32]; 2],
     held: [Option<u32>; 2],
-    mixed: &'s mut [f32],
+    /// The slots of the source rows before and after the output row, and the share of the latter.
+    between: ([usize; 2], f32),
 }
 
 impl<'s> Upsampler<'s> {
@@ -101,17 +159,64 @@ impl<'s> Upsampler<'s> {
             let share = scratch.take(to as usize)?;
             Columns::any(upsampling, run, share)
         };
-        let width = from as usize;
-        let row = width.saturating_mul(channels);
+        let [from, to] = [from, to].map(|width| channels.saturating_mul(width as usize));
         Ok(Self {
             upsampling,
             input,
             output,
             columns,
-            rows: [scratch.take(row)?, scratch.take(row)?],
+            source: scratch.take(from)?,
+            rows: [scratch.take(to)?, scratch.take(to)?],
             held: [None, None],
-            mixed: scratch.take(width)?,
+            between: ([0, 0], 0.0),
         })
+    }
+
+    /// Makes what output row `v` lies between, of what `source` gives.
+    #[inline(always)]
+    pub(super) fn advance<S: SourceRows>(&mut self, v: u32, source: &mut S) -> Result<(), Error> {
+        let (above, below, share) =
+            self.upsampling
+                .sample(v, self.input.height(), self.output.height());
+        for y in [above, below] {
+            let [even, odd] = &mut self.rows;
+            let [even_held, odd_held] = &mut self.held;
+            let (slot, held) = if y % 2 == 0 {
+                (even, even_held)
+            } else {
+                (odd, odd_held)
+            };
+            if *held == Some(y) {
+                continue;
+            }
+            if matches!(self.columns, Columns::Same) {
+                source.write_row(y, slot)?;
+            } else {
+                source.write_row(y, self.source)?;
+                // Not a zip of two chunkings: that divides their lengths, with code for a panic at 0.
+                let from = self.input.row();
+                for (channel, wide) in slot.chunks_exact_mut(self.output.row()).enumerate() {
+                    let narrow = self.source.get(channel * from..(channel + 1) * from);
+                    self.columns.widen(narrow.unwrap_or_default(), wide);
+                }
+            }
+            *held = Some(y);
+        }
+        self.between = ([above, below].map(|y| y as usize % 2), share);
+        Ok(())
+    }
+
+    /// The output row that [`Self::advance`] was called for, of all channels.
+    #[inline(always)]
+    pub(super) fn between(&self) -> Between<'_> {
+        let [even, odd] = &self.rows;
+        let ([above, below], share) = self.between;
+        let [above, below] = [above, below].map(|slot| if slot == 0 { &**even } else { &**odd });
+        Between {
+            above,
+            below,
+            share,
+        }
     }
 
     /// Writes output row `v` of what `source` gives.
@@ -125,40 +230,8 @@ impl<'s> Upsampler<'s> {
         if self.input == self.output {
             return source.write_row(v, out);
         }
-        let (above, below, share) =
-            self.upsampling
-                .sample(v, self.input.height(), self.output.height());
-        for y in [above, below] {
-            let [even, odd] = &mut self.rows;
-            let [even_held, odd_held] = &mut self.held;
-            let (slot, held) = if y % 2 == 0 {
-                (even, even_held)
-            } else {
-                (odd, odd_held)
-            };
-            if *held != Some(y) {
-                source.write_row(y, slot)?;
-                *held = Some(y);
-            }
-        }
-        let [even, odd] = &self.rows;
-        let (above, below): (&[f32], &[f32]) = match (above % 2, below % 2) {
-            (0, 0) => (even, even),
-            (0, _) => (even, odd),
-            (_, 0) => (odd, even),
-            _ => (odd, odd),
-        };
-        let (from, to) = (self.input.row(), self.output.row());
-        // Not a zip of three chunkings: that divides their lengths, with code for a panic at 0.
-        for (channel, out) in out.chunks_exact_mut(to).enumerate() {
-            let row = channel * from..(channel + 1) * from;
-            let above = above.get(row.clone()).unwrap_or_default();
-            let below = below.get(row).unwrap_or_default();
-            for ((mixed, a), b) in self.mixed.iter_mut().zip(above).zip(below) {
-                *mixed = lerp(*a, *b, share);
-            }
-            self.columns.widen(self.mixed, out);
-        }
+        self.advance(v, source)?;
+        self.between().write(out);
         Ok(())
     }
 }
