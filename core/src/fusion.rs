@@ -342,7 +342,10 @@ impl Fusion {
                 }
                 Some(m) => {
                     for ((depth, z_pair), m_pair) in values.zip(m.pairs()) {
-                        *depth = self.blend(unit * z.value(z_pair), m.value(m_pair), 0.0);
+                        // As `blend` with ground of 0, which adds nothing.
+                        let residual = unit * z.value(z_pair);
+                        let fused = residual - m.value(m_pair) * residual;
+                        *depth = clamp(fused, self.depth.min, self.depth.max);
                     }
                 }
             }
