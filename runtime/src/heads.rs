@@ -89,21 +89,13 @@ impl<'a> Heads<'a> {
             DecodeAt::HeadSize => 1,
             DecodeAt::OutputSize => slope.classes.radians().len(),
         });
-        let others = [
+        let maps = [
+            Some(self.residual.map),
             self.attention.map(|head| head.map),
             self.slope.map(|head| head.map),
         ];
-        let widest = others
-            .into_iter()
-            .flatten()
-            .fold(self.residual.map, |wider, map| {
-                if map.size().width() > wider.size().width() {
-                    map
-                } else {
-                    wider
-                }
-            });
-        scratch_len(output, widest.size().width(), classes)
+        let widths = maps.into_iter().flatten().map(|map| map.size().width());
+        scratch_len(output, widths.max().unwrap_or(0), classes)
     }
 }
 
