@@ -510,7 +510,7 @@ int32_t gedepth_core_table_build_metres(const struct gedepth_core_camera *camera
 
 // Makes the table of one inverse depth a row: values_len floats, at least gedepth_core_rows_len. For cameras without
 // distortion that hardly roll: GEDEPTH_CORE_ROLL_TOO_LARGE if a depth of up_to metres would be wrong by more than the share
-// relative_error.
+// relative_error, GEDEPTH_CORE_NOT_FINITE if either is NaN.
 int32_t gedepth_core_table_build_rows(const struct gedepth_core_camera *camera,
                                       double relative_error,
                                       double up_to,

@@ -9,7 +9,9 @@ use gedepth_core::table::{
 
 use crate::camera::{Camera, check_finite, gedepth_core_camera};
 use crate::memory::{Array, Span, check_disjoint, read};
-use crate::result::{Failure, GEDEPTH_CORE_UNKNOWN_CHOICE, Result, number};
+use crate::result::{
+    Failure, GEDEPTH_CORE_NOT_FINITE, GEDEPTH_CORE_UNKNOWN_CHOICE, Result, number,
+};
 
 /// float, inverse depth in 1/m with its sign, one a pixel.
 pub const GEDEPTH_CORE_INVERSE_DEPTH: u32 = 1;
@@ -227,7 +229,7 @@ pub unsafe extern "C" fn gedepth_core_table_build_metres(
 
 /// Makes the table of one inverse depth a row: values_len floats, at least gedepth_core_rows_len. For cameras without
 /// distortion that hardly roll: GEDEPTH_CORE_ROLL_TOO_LARGE if a depth of up_to metres would be wrong by more than the share
-/// relative_error.
+/// relative_error, GEDEPTH_CORE_NOT_FINITE if either is NaN.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_core_table_build_rows(
     camera: *const gedepth_core_camera,
@@ -246,6 +248,9 @@ pub unsafe extern "C" fn gedepth_core_table_build_rows(
             ground,
             Span::NONE,
             |camera, memory| {
+                if relative_error.is_nan() || up_to.is_nan() {
+                    return Err(Failure(GEDEPTH_CORE_NOT_FINITE));
+                }
                 let coefficients =
                     GroundCoefficients::new(camera.lens().as_pinhole()?, camera.ground()?);
                 let tolerance = RowTolerance {

@@ -244,6 +244,14 @@ fn tables_refuse_bad_memory() {
                 GEDEPTH_CORE_NOT_A_PINHOLE,
             ),
             (
+                gedepth_core_table_build_rows(camera, f64::NAN, 80.0, v, H as usize, g),
+                GEDEPTH_CORE_NOT_FINITE,
+            ),
+            (
+                gedepth_core_table_build_rows(camera, 1e-3, f64::NAN, v, H as usize, g),
+                GEDEPTH_CORE_NOT_FINITE,
+            ),
+            (
                 gedepth_core_table_coefficients(camera, g),
                 GEDEPTH_CORE_NOT_A_PINHOLE,
             ),
