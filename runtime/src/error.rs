@@ -26,14 +26,14 @@ pub enum Error {
         /// Why.
         reason: image::ImageError,
     },
-    /// The picture is not of the size that the estimator was made for.
+    /// The picture is not of the size that the calibration, or the estimator, was made for.
     #[error(
-        "the picture is {actual:?} (width, height), but the calibration is for {expected:?}; give the picture that the calibration belongs to, unscaled and uncropped"
+        "the picture is {actual:?} (width, height), but its camera's are {expected:?}, by the calibration or by what the estimator was made for; give them unscaled and uncropped"
     )]
     PictureSize {
         /// Width and height of the picture, pixels.
         actual: (u32, u32),
-        /// Width and height that the calibration was made for.
+        /// Width and height that it was made for.
         expected: (u32, u32),
     },
     /// A picture's bytes are not those of its size and format.

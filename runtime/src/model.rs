@@ -16,7 +16,7 @@ use tract_onnx::prelude::*;
 
 use crate::Error;
 use crate::contract::{Contract, MAX_SIDE};
-use crate::engine::{self, Engine, Entrance, LayerTime, Results, Threads, Whole};
+use crate::engine::{self, Engine, Entrance, LayerTime, Reader, Results, Threads, Whole};
 use crate::inspection::PlanKind;
 
 /// The quantized adaptive model that the crate carries; see `fixtures/README.md` for how it was trained.
@@ -93,6 +93,9 @@ impl Model {
             ));
         };
         check_nodes(graph).map_err(unfit)?;
+        guarded(|| Ok(check_windows(graph, &[])))
+            .flatten()
+            .map_err(unfit)?;
         forget_names_of_sizes(&mut proto);
         guarded(|| {
             engine::to_qdq(&mut proto);
@@ -189,7 +192,7 @@ impl fmt::Debug for Model {
 }
 
 /// What neither tract nor the engine asks. Each node reads only what is there before it, as ONNX has it: what follows a tensor to where it
-/// comes from then ends. And no window is larger than any picture: tract would allocate for it, and end the process.
+/// comes from then ends. None is the engine's own, which trusts what it reads.
 fn check_nodes(graph: &GraphProto) -> Result<(), String> {
     let elsewhere =
         |tensor: &&TensorProto| tensor.data_location == Some(DataLocation::External as i32);
@@ -227,18 +230,46 @@ fn check_nodes(graph: &GraphProto) -> Result<(), String> {
                 ));
             }
         }
+    }
+    Ok(())
+}
+
+/// No window is larger than any picture, here or in an inner graph: tract would allocate for it, and end the process. And no node is the
+/// engine's own, which trusts what it reads.
+fn check_windows<'a>(graph: &'a GraphProto, around: &[Reader<'a>]) -> Result<(), String> {
+    let scopes: Vec<Reader<'_>> = around.iter().cloned().chain([Reader::new(graph)]).collect();
+    let pads = |node: &NodeProto| {
+        let name = node.input.get(1).filter(|_| node.op_type == "Pad")?;
+        let constant = scopes.iter().rev().find_map(|scope| scope.integers(name))?;
+        Some(("pads", constant.0))
+    };
+    for node in &graph.node {
+        if node.op_type == engine::ISLAND {
+            return Err(format!(
+                "its node `{}` is a {}, which is no operator for files",
+                node.name, node.op_type
+            ));
+        }
         let windows = node
             .attribute
             .iter()
-            .filter(|a| WINDOWS.contains(&a.name.as_str()));
-        for attribute in windows {
+            .filter(|a| WINDOWS.contains(&a.name.as_str()))
+            .map(|a| (a.name.as_str(), a.ints.clone()));
+        for (name, numbers) in windows.chain(pads(node)) {
             let limit = u64::from(MAX_SIDE);
-            if let Some(wrong) = attribute.ints.iter().find(|n| n.unsigned_abs() > limit) {
+            if let Some(wrong) = numbers.iter().find(|n| n.unsigned_abs() > limit) {
                 return Err(format!(
-                    "its node {} `{}` has {wrong} among its {}: more than {limit} pixels",
-                    node.op_type, node.name, attribute.name
+                    "its node {} `{}` has {wrong} among its {name}: more than {limit} pixels",
+                    node.op_type, node.name
                 ));
             }
+        }
+        for inner in node
+            .attribute
+            .iter()
+            .flat_map(|a| a.g.iter().chain(&a.graphs))
+        {
+            check_windows(inner, &scopes)?;
         }
     }
     Ok(())
@@ -250,19 +281,28 @@ fn check_bits(graph: &GraphProto) -> Result<(), String> {
     let other = |tensor: &&TensorProto| !taken.contains(&tensor.data_type);
     let others = graph.initializer.iter().filter(other);
     let names: HashSet<&str> = others.clone().map(|tensor| tensor.name.as_str()).collect();
+    let unfit = |node: &NodeProto, kind: i32| {
+        let kind = DataType::try_from(kind).map_or("a type without a name", |t| t.as_str_name());
+        format!(
+            "its node {} `{}` is of {kind}; quantize to 8 bits",
+            node.op_type, node.name
+        )
+    };
     let quantizes =
         |node: &&NodeProto| matches!(node.op_type.as_str(), "QuantizeLinear" | "DequantizeLinear");
     for node in graph.node.iter().filter(quantizes) {
         let zero = node.input.get(2).map_or("", String::as_str);
+        let said = node.attribute.iter().find(|a| a.name == "output_dtype");
+        if let Some(said) = said.filter(|_| node.op_type == "QuantizeLinear")
+            && said.i != 0
+            && !taken.map(i64::from).contains(&said.i)
+        {
+            return Err(unfit(node, said.i as i32));
+        }
         if names.contains(zero)
             && let Some(zero) = others.clone().find(|tensor| tensor.name == zero)
         {
-            let kind = DataType::try_from(zero.data_type)
-                .map_or("a type without a name", |t| t.as_str_name());
-            return Err(format!(
-                "its node {} `{}` is of {kind}; quantize to 8 bits",
-                node.op_type, node.name
-            ));
+            return Err(unfit(node, zero.data_type));
         }
     }
     Ok(())
@@ -353,9 +393,17 @@ fn check_graph(proto: &ModelProto, contract: &Contract) -> Result<Option<Size>, 
                         .iter()
                         .all(|side| (1..=i64::from(MAX_SIDE)).contains(side)) =>
                 {
+                    if width.unsigned_abs() * height.unsigned_abs() > MAX_PIXELS {
+                        return Err(format!(
+                            "its input of {width} x {height} is more than {MAX_PIXELS} pixels"
+                        ));
+                    }
                     Ok(Some((width as u32, height as u32)))
                 }
                 (None, None) => Ok(None),
+                (Some(height), Some(width)) => Err(format!(
+                    "its input is fixed to {width} x {height} pixels; each side must be 1 to {MAX_SIDE}"
+                )),
                 _ => Err("its input must have a fixed height and width, or neither".to_owned()),
             }
         }
@@ -697,8 +745,33 @@ mod tests {
                 ints: vec![0, 0, 0, pixels],
                 ..Default::default()
             }];
-            assert_eq!(check_nodes(&graph(&[padded])).is_ok(), taken, "{pixels}");
+            assert_eq!(
+                check_windows(&graph(&[padded.clone()]), &[]).is_ok(),
+                taken,
+                "{pixels}"
+            );
+            // As an input, which is how files from opset 11 on pad, in an inner graph, of a constant outside of it.
+            let mut within = node("x", "c");
+            within.op_type = "Pad".to_owned();
+            within.input[1] = "pads".to_owned();
+            let mut branching = node("x", "b");
+            branching.attribute = vec![tract_onnx::pb::AttributeProto {
+                g: Some(graph(&[within])),
+                ..Default::default()
+            }];
+            let mut whole = graph(&[branching]);
+            whole.initializer = vec![TensorProto {
+                name: "pads".to_owned(),
+                data_type: DataType::Int64 as i32,
+                dims: vec![2],
+                int64_data: vec![0, pixels],
+                ..TensorProto::default()
+            }];
+            assert_eq!(check_windows(&whole, &[]).is_ok(), taken, "{pixels} within");
         }
+        let mut own = node("x", "a");
+        own.op_type = engine::ISLAND.to_owned();
+        assert!(check_windows(&graph(&[own]), &[]).is_err());
     }
 
     fn shipped(name: &str) -> Model {
@@ -798,6 +871,11 @@ mod tests {
             (change(&sizes([4, 3, 64, 96])), "one picture at a time"),
             (change(&sizes([1, 4, 64, 96])), "[1, 4, 64, 96]"),
             (change(&sizes([1, 3, 64, 90])), "size_multiple is 32"),
+            (change(&sizes([1, 3, 32, 32768])), "each side must be 1 to"),
+            (
+                change(&sizes([1, 3, 4096, 8192])),
+                "more than 16777216 pixels",
+            ),
         ] {
             let refused = changed.expect_err("not the contract's");
             assert!(refused.contains(says), "{refused}");
@@ -817,6 +895,21 @@ mod tests {
                 refused.contains(says) && refused.contains("8 bits"),
                 "{refused}"
             );
+        }
+        // Said by the node itself, as from opset 21 on.
+        for (kind, taken) in [(DataType::Uint16, false), (DataType::Int8, true)] {
+            let mut model = shipped("baseline-int8.onnx");
+            let graph = model.proto.graph.as_mut().expect("a graph");
+            let mut nodes = graph.node.iter_mut();
+            let quantize = nodes.find(|n| n.op_type == "QuantizeLinear");
+            let quantize = quantize.expect("a quantized model");
+            quantize.input.truncate(2);
+            quantize.attribute.push(tract_onnx::pb::AttributeProto {
+                name: "output_dtype".to_owned(),
+                i: kind as i64,
+                ..Default::default()
+            });
+            assert_eq!(check_nodes(graph).is_ok(), taken, "{kind:?}");
         }
         let mut model = shipped("baseline-f32.onnx");
         let graph = model.proto.graph.as_mut().expect("a graph");

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use gedepth_core::table::{GroundRows, MIN_INVERSE_DEPTH, depth_from_inverse};
 
 use crate::Error;
-use crate::contract::{Channel, Contract, Fit, GroundChannel};
+use crate::contract::{Channel, Contract, Fit, GroundChannel, MAX_SIDE};
 use crate::engine::Entrance;
 use crate::model::{MAX_PIXELS, Model, Size};
 use crate::pixel_format::Picture;
@@ -72,6 +72,12 @@ impl Placement {
                         reason: format!("the model takes multiples of {multiple}"),
                     });
                 }
+                if asked.0.max(asked.1) > MAX_SIDE {
+                    return Err(Error::NetworkSize {
+                        asked,
+                        reason: format!("no side may be longer than {MAX_SIDE}"),
+                    });
+                }
                 asked
             }
             (None, None) => match contract.fit {
@@ -82,14 +88,16 @@ impl Placement {
                 ),
             },
         };
-        if u64::from(network.0) * u64::from(network.1) > MAX_PIXELS {
+        if u64::from(network.0) * u64::from(network.1) > MAX_PIXELS
+            || network.0.max(network.1) > MAX_SIDE
+        {
             return Err(match asked {
                 Some(asked) => Error::NetworkSize {
                     asked,
                     reason: format!("more than {MAX_PIXELS} pixels"),
                 },
                 None => unfit(format!(
-                    "the network would run at {network:?}, more than {MAX_PIXELS} pixels; give it a size"
+                    "the network would run at {network:?}, more than {MAX_PIXELS} pixels or {MAX_SIDE} along a side; give it a size"
                 )),
             });
         }
@@ -530,6 +538,7 @@ mod tests {
             (None, (100, 96)),
             (None, (0, 96)),
             (None, (8192, 4096)),
+            (None, (65568, 32)),
         ] {
             let placement = place(&contract, (1242, 375), fixed, Some(asked));
             assert!(

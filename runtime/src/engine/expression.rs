@@ -112,13 +112,17 @@ impl Binary {
 }
 
 impl Expression {
-    /// How many channels its constants say there are; 1: any number.
-    pub(crate) fn channels(&self) -> usize {
+    /// How many channels its constants say there are; 1: any number. An error where they do not agree.
+    pub(crate) fn channels(&self) -> Result<usize, String> {
         match self {
-            Expression::Input(_) => 1,
-            Expression::Constant(values) => values.len(),
+            Expression::Input(_) => Ok(1),
+            Expression::Constant(values) => Ok(values.len()),
             Expression::Function(_, of) => of.channels(),
-            Expression::Binary(_, one, other) => one.channels().max(other.channels()),
+            Expression::Binary(_, one, other) => match (one.channels()?, other.channels()?) {
+                (1, channels) | (channels, 1) => Ok(channels),
+                (one, other) if one == other => Ok(one),
+                (one, other) => Err(format!("constants of {one} and of {other} channels meet")),
+            },
         }
     }
 
@@ -177,5 +181,25 @@ impl Expression {
         };
         self.row(&bytes, 0, &mut values, &mut scratch);
         Box::new(values.map(|value| to.byte(value)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn constants_of_different_numbers_of_channels_do_not_meet() {
+        let constant = |channels: usize| Box::new(Expression::Constant(vec![1.0; channels]));
+        let with = |one: usize, other: usize| {
+            let product =
+                Expression::Binary(Binary::Mul, Box::new(Expression::Input(0)), constant(one));
+            Expression::Binary(Binary::Add, Box::new(product), constant(other)).channels()
+        };
+        assert_eq!(
+            [with(1, 1), with(1, 5), with(3, 1), with(3, 3)],
+            [Ok(1), Ok(5), Ok(3), Ok(3)]
+        );
+        assert!(with(3, 5).is_err());
     }
 }

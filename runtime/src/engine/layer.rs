@@ -564,7 +564,7 @@ impl Layer {
             }
             Operation::Add | Operation::Multiply | Operation::Elementwise(_) => {
                 let constants = match &self.operation {
-                    Operation::Elementwise(expression) => expression.channels(),
+                    Operation::Elementwise(expression) => expression.channels()?,
                     _ => 1,
                 };
                 inputs

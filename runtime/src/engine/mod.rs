@@ -36,10 +36,12 @@ use tract_onnx::pb::ModelProto;
 use crate::Error;
 
 pub use inspection::{InspectedNode, Place};
+pub(crate) use island::ISLAND;
 pub use kernels::Kernel;
 pub(crate) use operator::register;
 pub use profile::LayerTime;
 pub(crate) use qlinear::to_qdq;
+pub(crate) use recognize::graph::Reader;
 pub(crate) use whole::{Entrance, Results, Threads, Whole};
 
 /// How a model's quantized layers are run.

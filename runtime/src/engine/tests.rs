@@ -1081,8 +1081,33 @@ fn nearest_pixels_at_ties_are_onnx_runtimes() {
     }
 }
 
+/// What follows tensors back to bytes needs no more stack for longer ways.
+#[test]
+fn a_long_chain_of_shared_functions_fits_a_small_stack() {
+    let mut b = Builder::new([1, 2, 2]);
+    let mut outputs = Vec::new();
+    let mut x = b.node("Floor", &["x"], vec![]);
+    for _ in 0..1500 {
+        outputs.push(b.node("Floor", &[&x], vec![]));
+        x = b.node("Neg", &[&x], vec![]);
+    }
+    outputs.push(b.quantized(
+        &x,
+        Steps {
+            scale: 0.1,
+            zero: 100,
+            signed: false,
+        },
+    ));
+    let model = b.finish(&outputs.iter().map(String::as_str).collect::<Vec<_>>());
+    let split = std::thread::Builder::new()
+        .stack_size(256 << 10)
+        .spawn(move || fastest().split(&model).is_none());
+    assert!(split.unwrap().join().unwrap());
+}
+
 /// Bytes without a zero point are what `output_dtype` says (opset 21), on either side of what the engine does not know, and in weights that
-/// the graph quantizes. (tract takes them for u8, so it is no reference.)
+/// the graph quantizes; with the engine and without.
 #[test]
 fn signed_bytes_without_a_zero_point_stay_signed() {
     let shape @ [channels, height, width] = [2, 3, 7];
@@ -1108,11 +1133,15 @@ fn signed_bytes_without_a_zero_point_stay_signed() {
     let outside = b.quantized(&outside, steps);
     let sum = b.node("Add", &[&x, &outside], vec![]);
     let sum = b.quantized(&sum, steps);
-    let (made, _) = run(&b.finish(&[&sum]), fastest(), shape, &input);
-    for (x, made) in input.iter().zip(&made[0]) {
-        let real = (-x).clamp(-2.56, 2.54);
-        let real = (real + real.floor().clamp(-2.56, 2.54)).clamp(-2.56, 2.54);
-        assert!((real - made).abs() < 0.011, "{x}: {made} instead of {real}");
+    let mut model = b.finish(&[&sum]);
+    to_qdq(&mut model);
+    for engine in [fastest(), Engine::Tract] {
+        let (made, _) = run(&model, engine, shape, &input);
+        for (x, made) in input.iter().zip(&made[0]) {
+            let real = (-x).clamp(-2.56, 2.54);
+            let real = (real + real.floor().clamp(-2.56, 2.54)).clamp(-2.56, 2.54);
+            assert!((real - made).abs() < 0.011, "{x}: {made} instead of {real}");
+        }
     }
 
     let mut b = Builder::new(shape);
@@ -1125,7 +1154,30 @@ fn signed_bytes_without_a_zero_point_stay_signed() {
     let real: Vec<f64> = (0..area)
         .map(|i| -0.5 * f64::from(input[i]) + 0.25 * f64::from(input[i + area]))
         .collect();
-    check_engine(&b.finish(&[&y]), shape, &input, steps, &real, "weights");
+    let mut model = b.finish(&[&y]);
+    to_qdq(&mut model);
+    check_engine(&model, shape, &input, steps, &real, "weights");
+
+    // What QLinear operators give is of their operands' type. (Their zero points may be left out, in bytes that are moved as well.)
+    let mut b = Builder::new(shape);
+    let scale = b.floats(&[], &[0.02]);
+    let twice = b.floats(&[], &[0.04]);
+    let bytes = b.node("QuantizeLinear", &["x", &scale], signed());
+    let bytes = b.node("MaxPool", &[&bytes], vec![ints("kernel_shape", &[1, 1])]);
+    let sum = b.node(
+        "QLinearAdd",
+        &[&bytes, &scale, "", &bytes, &scale, "", &twice],
+        vec![],
+    );
+    let sum = b.node("DequantizeLinear", &[&sum, &twice], vec![]);
+    let mut model = b.finish(&[&sum]);
+    to_qdq(&mut model);
+    for engine in [fastest(), Engine::Tract] {
+        let (made, _) = run(&model, engine, shape, &input);
+        for (x, made) in input.iter().zip(&made[0]) {
+            assert!((2.0 * x - made).abs() < 1e-5, "{x}: {made}");
+        }
+    }
 }
 
 const EMBEDDED: &str = concat!(

@@ -13,6 +13,9 @@ use std::thread::JoinHandle;
 const SPINS: usize = 2000;
 
 type Job<'a> = dyn Fn(&Member<'_>) + Sync + 'a;
+/// Begins a thread of this name, if the system grants one.
+type Begin<'a> =
+    dyn FnMut(String, Box<dyn FnOnce() + Send>) -> std::io::Result<JoinHandle<()>> + 'a;
 
 /// Keeps the calling thread on one core, from now on; false where the system refuses.
 pub(super) fn stay_on(core: usize) -> bool {
@@ -138,7 +141,13 @@ impl Team {
     }
 
     fn with_spins(members: usize, spins: usize) -> Self {
-        let spawn = |members: usize| {
+        Self::of_granted(members, spins, &mut |name, work| {
+            std::thread::Builder::new().name(name).spawn(work)
+        })
+    }
+
+    fn of_granted(members: usize, spins: usize, thread: &mut Begin<'_>) -> Self {
+        let mut spawn = |members: usize| {
             let barrier = Barrier {
                 members,
                 spins,
@@ -153,25 +162,28 @@ impl Team {
                 barrier,
                 job: Mutex::new(Assignment::Leave),
             });
-            let worker = |number| {
+            let mut worker = |number| {
                 let meeting = meeting.clone();
-                std::thread::Builder::new()
-                    .name(format!("gedepth {number}"))
-                    .spawn(move || work(&meeting, number))
+                thread(
+                    format!("gedepth {number}"),
+                    Box::new(move || work(&meeting, number)),
+                )
             };
             let workers: Vec<_> = (1..members)
                 .map_while(|number| worker(number).ok())
                 .collect();
             Self { meeting, workers }
         };
-        let team = spawn(members.max(1));
-        let granted = team.workers.len() + 1;
-        if granted == members.max(1) {
-            return team;
+        let mut members = members.max(1);
+        loop {
+            let team = spawn(members);
+            let granted = team.workers.len() + 1;
+            if granted == members {
+                return team;
+            }
+            // A system that refuses threads. Those that were created wait for more than there are: they leave, and as many begin anew.
+            members = granted;
         }
-        // A system that refuses threads: do with this one. Those that were created find the meeting broken and leave.
-        team.meeting.barrier.break_up();
-        spawn(1)
     }
 
     /// How many there are.
@@ -290,6 +302,31 @@ mod tests {
             assert!(whole);
         }
         assert_eq!(done.into_inner(), (members * jobs * rounds) as u64);
+    }
+
+    /// Of a system that refuses threads, as many as it grants do the whole job.
+    #[test]
+    fn fewer_threads_than_asked_for_share_the_work() {
+        for granted in [0, 1, 3] {
+            let alive = Arc::new(AtomicUsize::new(0));
+            let mut team = Team::of_granted(5, SPINS, &mut |name, work| {
+                if alive.load(SeqCst) == granted {
+                    return Err(std::io::ErrorKind::WouldBlock.into());
+                }
+                alive.fetch_add(1, SeqCst);
+                let alive = alive.clone();
+                std::thread::Builder::new().name(name).spawn(move || {
+                    work();
+                    alive.fetch_sub(1, SeqCst);
+                })
+            });
+            assert_eq!(team.members(), granted + 1);
+            let done = AtomicU64::new(0);
+            assert!(team.run(&|member: &Member<'_>| {
+                done.fetch_add(member.share(100).map(|i| i as u64).sum(), SeqCst);
+            }));
+            assert_eq!(done.into_inner(), (0..100).sum::<u64>());
+        }
     }
 
     /// A job that panics on one thread says so on the caller's, and nobody waits for it for ever.

@@ -6,9 +6,7 @@ use std::collections::{HashMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use tract_onnx::pb::tensor_proto::DataType;
-use tract_onnx::pb::{
-    AttributeProto, GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto,
-};
+use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto};
 use tract_onnx::prelude::*;
 
 use super::qlinear::floats;
@@ -402,7 +400,6 @@ fn pair(like: &NodeProto, name: &str, output: &str) -> [NodeProto; 2] {
             op_type: op_type.to_owned(),
             input: inputs,
             output: vec![to],
-            attribute: like.attribute.iter().filter(|a| kept(a)).cloned().collect(),
             ..NodeProto::default()
         }
     };
@@ -411,8 +408,4 @@ fn pair(like: &NodeProto, name: &str, output: &str) -> [NodeProto; 2] {
         node("QuantizeLinear", name, bytes.clone()),
         node("DequantizeLinear", &bytes, real),
     ]
-}
-
-fn kept(attribute: &AttributeProto) -> bool {
-    attribute.name == "output_dtype"
 }

@@ -65,7 +65,8 @@ impl Reader<'_> {
                 Some((values, _, data_type)) if values.len() == 1 => (values[0], data_type),
                 _ => return Err("its zero point is not one constant byte".into()),
             },
-            None => (0, self.type_without_zero(node)?),
+            // Signed ones have one: see `to_qdq`.
+            None => (0, DatumType::U8),
         };
         let zero = match data_type {
             DatumType::U8 => zero,
@@ -76,29 +77,6 @@ impl Reader<'_> {
             scale,
             zero: u8::try_from(zero).map_err(|_| "its zero point is no byte")?,
         })
-    }
-
-    /// The type of byte of a node without a zero point.
-    fn type_without_zero(&self, node: &NodeProto) -> Found<DatumType> {
-        if node.op_type == "DequantizeLinear"
-            && let Some((_, quantize)) = input(node, 0)
-                .and_then(|name| self.maker(name))
-                .filter(|(_, maker)| maker.op_type == "QuantizeLinear")
-        {
-            return match input(quantize, 2) {
-                Some(name) => Ok(self
-                    .integers(name)
-                    .ok_or("its zero point is not constant")?
-                    .2),
-                None => self.type_without_zero(quantize),
-            };
-        }
-        match integer(node, "output_dtype", 0) {
-            0 => Ok(DatumType::U8),
-            kind if kind == DataType::Uint8 as i64 => Ok(DatumType::U8),
-            kind if kind == DataType::Int8 as i64 => Ok(DatumType::I8),
-            _ => Err("its activations are not bytes".into()),
-        }
     }
 
     /// The byte tensor behind an f32 name; `None` where the name is not dequantized from an activation.
@@ -184,8 +162,7 @@ impl Reader<'_> {
             ),
         };
         let source = input(node, 0).ok_or("its weights are missing")?;
-        let shape_of = |name: &str| self.constant(name).map(|tensor| tensor.shape().to_vec());
-        let mut kind = zeros.as_ref().map(|(_, _, kind)| *kind);
+        let kind = zeros.as_ref().map_or(DatumType::U8, |(_, _, kind)| *kind);
         let (stored, floats, shape) = match self.integers(source) {
             Some((values, shape, _)) => (values, None, shape),
             None => {
@@ -204,10 +181,7 @@ impl Reader<'_> {
                         "its weights are quantized in one way and dequantized in another".into(),
                     );
                 }
-                let shape = shape_of(name).unwrap_or_default();
-                if kind.is_none() {
-                    kind = Some(self.type_without_zero(quantize)?);
-                }
+                let shape = self.shape(name).unwrap_or_default();
                 (Vec::new(), Some(floats), shape)
             }
         };
@@ -235,8 +209,8 @@ impl Reader<'_> {
             }
             Some(floats) => {
                 let (low, high) = match kind {
-                    Some(DatumType::I8) => (-128, 127),
-                    Some(DatumType::U8) => (0, 255),
+                    DatumType::I8 => (-128, 127),
+                    DatumType::U8 => (0, 255),
                     _ => return Err("its weights are not bytes".into()),
                 };
                 for (index, run) in runs(&floats, scales.len(), axis, &shape) {

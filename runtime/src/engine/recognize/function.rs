@@ -245,30 +245,33 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Whether an expression belongs with the engine: it reads what is made there.
+    /// Whether an expression belongs with the engine: it reads what is made there, perhaps by way of other expressions. (Each tensor is
+    /// looked at once, and waits in a list: there are graphs with more ways through than time, and with longer ones than the stack.)
     pub(super) fn belongs(&self, gathered: &Gathered) -> bool {
-        self.reaches_bytes(gathered, &mut HashSet::new())
-    }
-
-    /// Each tensor is asked once: there are graphs with more ways through than time.
-    fn reaches_bytes(&self, gathered: &Gathered, asked: &mut HashSet<String>) -> bool {
-        let mut inside = |input: &Operand| {
-            input.quantization.is_some()
-                || asked.insert(input.name.clone())
-                    && self.maker(&input.name).is_some_and(|(_, node)| {
-                        let output = node.output.first();
-                        if convolution::has_weights(&node.op_type) {
-                            node.input
-                                .first()
-                                .is_some_and(|name| self.operand(name).is_some())
-                        } else {
-                            self.is_elementwise(&input.name)
-                                && output
-                                    .and_then(|name| self.expression(name, true).ok())
-                                    .is_some_and(|inner| self.reaches_bytes(&inner, asked))
-                        }
-                    })
-        };
-        self.takes_all || gathered.inputs.iter().any(&mut inside)
+        let mut asked = HashSet::new();
+        let mut open = gathered.inputs.clone();
+        while let Some(input) = open.pop() {
+            if input.quantization.is_some() {
+                return true;
+            }
+            let Some((_, node)) = self.maker(&input.name) else {
+                continue;
+            };
+            if !asked.insert(input.name.clone()) {
+                continue;
+            }
+            if convolution::has_weights(&node.op_type) {
+                let read = node.input.first();
+                if read.is_some_and(|name| self.operand(name).is_some()) {
+                    return true;
+                }
+            } else if self.is_elementwise(&input.name)
+                && let Some(inner) = node.output.first()
+                && let Ok(inner) = self.expression(inner, true)
+            {
+                open.extend(inner.inputs);
+            }
+        }
+        self.takes_all
     }
 }

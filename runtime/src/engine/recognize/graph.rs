@@ -109,6 +109,7 @@ const BROADCAST: &[&str] = &[
 ];
 
 /// A graph with its names looked up.
+#[derive(Clone)]
 pub(crate) struct Reader<'a> {
     pub(super) graph: &'a GraphProto,
     made_by: HashMap<&'a str, usize>,
@@ -273,8 +274,13 @@ impl<'a> Reader<'a> {
         tract_onnx::tensor::load_tensor(&MmapDataResolver, proto, None).ok()
     }
 
+    /// The shape of a constant.
+    pub(crate) fn shape(&self, name: &str) -> Option<Vec<usize>> {
+        Some(self.constant(name)?.shape().to_vec())
+    }
+
     /// The element type of a constant.
-    pub(super) fn constant_type(&self, name: &str) -> Option<i32> {
+    pub(crate) fn constant_type(&self, name: &str) -> Option<i32> {
         Some(self.constants.get(name)?.data_type)
     }
 

@@ -199,7 +199,7 @@ impl<'a> Reader<'a> {
         if let Ok(gathered) = self.expression(float, false)
             && let [operand] = &gathered.inputs[..]
             && let Some(from) = operand.quantization
-            && gathered.expression.channels() == 1
+            && gathered.expression.channels() == Ok(1)
             // A constant may add dimensions.
             && self.rank(&operand.name).is_none_or(|rank| Some(rank) == self.rank(float))
         {

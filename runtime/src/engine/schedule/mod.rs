@@ -100,7 +100,7 @@ impl Schedule {
         let team = Team::new(threads);
         let widest = steps.iter().map(Step::scratch).max().unwrap_or(0);
         let longest = steps.iter().map(Step::inlined_bytes).max().unwrap_or(0);
-        let members = 0..threads.max(1);
+        let members = 0..team.members();
         let scratch = members
             .clone()
             .map(|_| Mutex::new(vec![0.0; widest]))
