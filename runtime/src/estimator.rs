@@ -240,8 +240,12 @@ impl Estimator {
         Ok(())
     }
 
-    /// Keeps each of the engine's threads on one of `cores` (numbers as Linux has them), in order: that of the caller, which
-    /// is one of them, on the first. Only where the engine runs the whole network.
+    /// Keeps each of the engine's threads on one of `cores` (numbers as Linux has them), in order, from the first again if there are more
+    /// threads: that of the caller, which is one of them, on the first. Only where the engine runs the whole network.
+    ///
+    /// # Errors
+    /// [`Error::Cores`] where that is not so, where there are no cores, or where the system refuses one; threads may then be on others
+    /// of these cores.
     pub fn pin_threads(&mut self, cores: &[usize]) -> Result<(), Error> {
         self.network.pin(cores).map_err(|reason| Error::Cores {
             cores: cores.to_vec(),

@@ -201,6 +201,9 @@
 // The network does not take the size that was asked for.
 #define GEDEPTH_NETWORK_SIZE 805
 
+// The camera's threads cannot be kept on these cores.
+#define GEDEPTH_CORES 806
+
 // A calibration file cannot be read.
 #define GEDEPTH_CALIBRATION_READ 821
 
@@ -462,6 +465,13 @@ int32_t gedepth_camera_statistics(const struct gedepth_camera *camera, struct ge
 // less than 1 ms for a megapixel of maps, and a fusion where the picture's maps were not asked for.
 int32_t gedepth_camera_plausibility(const struct gedepth_camera *camera,
                                     struct gedepth_plausibility *plausibility);
+
+// Keeps each of a camera's threads on one of these cores (numbers as Linux has them), in order, from the first again if there are
+// more threads. The calling thread is the first of them: call this on the one that runs the camera's pictures. GEDEPTH_CORES where
+// tract runs a part of the network, there are no cores, or the system refuses one; threads may then be on others of these cores.
+int32_t gedepth_camera_pin(struct gedepth_camera *camera,
+                           const uint32_t *cores,
+                           size_t cores_len);
 
 // Closes a camera and ends its threads; null is none. No other call may be using it.
 void gedepth_camera_close(struct gedepth_camera *camera);

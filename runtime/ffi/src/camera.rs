@@ -620,6 +620,28 @@ pub unsafe extern "C" fn gedepth_camera_plausibility(
     })
 }
 
+/// Keeps each of a camera's threads on one of these cores (numbers as Linux has them), in order, from the first again if there are
+/// more threads. The calling thread is the first of them: call this on the one that runs the camera's pictures. GEDEPTH_CORES where
+/// tract runs a part of the network, there are no cores, or the system refuses one; threads may then be on others of these cores.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gedepth_camera_pin(
+    camera: *mut gedepth_camera,
+    cores: *const u32,
+    cores_len: usize,
+) -> i32 {
+    guarded(|| {
+        // SAFETY: the crate's contract.
+        let camera = unsafe { look(camera.cast_const()) }?;
+        let cores = Array::new(cores, cores_len)?;
+        // SAFETY: as above.
+        let cores: Vec<usize> = unsafe { cores.slice() }
+            .iter()
+            .map(|&core| core as usize)
+            .collect();
+        Ok(camera.state()?.estimator.pin_threads(&cores)?)
+    })
+}
+
 /// Closes a camera and ends its threads; null is none. No other call may be using it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_camera_close(camera: *mut gedepth_camera) {

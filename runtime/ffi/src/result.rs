@@ -161,6 +161,8 @@ pub const GEDEPTH_PICTURE_SIZE: i32 = 803;
 pub const GEDEPTH_PICTURE_UNFIT: i32 = 804;
 /// The network does not take the size that was asked for.
 pub const GEDEPTH_NETWORK_SIZE: i32 = 805;
+/// The camera's threads cannot be kept on these cores.
+pub const GEDEPTH_CORES: i32 = 806;
 /// A calibration file cannot be read.
 pub const GEDEPTH_CALIBRATION_READ: i32 = 821;
 /// A calibration file is malformed.
@@ -281,6 +283,10 @@ const TEXTS: &[(i32, &CStr)] = &[
     (
         GEDEPTH_NETWORK_SIZE,
         c"the network does not take this size",
+    ),
+    (
+        GEDEPTH_CORES,
+        c"the threads cannot be kept on these cores",
     ),
     (
         GEDEPTH_CALIBRATION_READ,

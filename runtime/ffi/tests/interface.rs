@@ -258,6 +258,7 @@ fn numbers_of_the_interface() {
         (GEDEPTH_PICTURE_SIZE, 803),
         (GEDEPTH_PICTURE_UNFIT, 804),
         (GEDEPTH_NETWORK_SIZE, 805),
+        (GEDEPTH_CORES, 806),
         (GEDEPTH_CALIBRATION_READ, 821),
         (GEDEPTH_CALIBRATION_FORMAT, 822),
         (GEDEPTH_MODEL_READ, 841),
@@ -1055,6 +1056,48 @@ fn every_poisoned_number_is_refused_by_a_known_result_or_gives_finite_depth() {
     for (options, result) in options {
         let opened = Camera::open(&model, &calibration(), &options);
         assert_eq!(opened.err(), Some(result));
+    }
+}
+
+/// In a thread of its own, which stays where it is put.
+#[test]
+fn threads_stay_on_cores_that_there_are() {
+    let camera = Camera::usual();
+    let rgb = noise(4);
+    let before = camera.depth(&rgb);
+    let pin = |cores: &[u32]| {
+        // SAFETY: `cores` is the caller's.
+        unsafe { gedepth_camera_pin(camera.0, cores.as_ptr(), cores.len()) }
+    };
+    assert_eq!(pin(&[0, 0]), GEDEPTH_OK, "{}", last_error());
+    if let Ok(status) = std::fs::read_to_string("/proc/thread-self/status") {
+        let allowed = status
+            .lines()
+            .find(|line| line.starts_with("Cpus_allowed_list"));
+        assert!(
+            allowed.is_none_or(|list| list.ends_with("\t0")),
+            "{allowed:?}"
+        );
+    }
+    assert!(camera.depth(&rgb) == before);
+    for cores in [&[1023][..], &[u32::MAX], &[]] {
+        assert_eq!(pin(cores), GEDEPTH_CORES, "{cores:?}");
+        assert!(
+            last_error().contains(&format!("{cores:?}")),
+            "{}",
+            last_error()
+        );
+    }
+    // SAFETY: nulls are refused.
+    unsafe {
+        assert_eq!(
+            gedepth_camera_pin(null_mut(), [0].as_ptr(), 1),
+            GEDEPTH_NULL_POINTER
+        );
+        assert_eq!(
+            gedepth_camera_pin(camera.0, null(), 1),
+            GEDEPTH_NULL_POINTER
+        );
     }
 }
 

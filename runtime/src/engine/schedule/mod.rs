@@ -140,10 +140,12 @@ impl Schedule {
 
     /// Keeps each thread on one of `cores`, in order, the caller's on the first.
     pub(crate) fn pin(&mut self, cores: &[usize]) -> Result<(), String> {
+        if cores.is_empty() {
+            return Err("there are none; give at least one".to_owned());
+        }
         let refused = AtomicBool::new(false);
         self.share(&|thread| {
-            let core = cores.get(thread % cores.len().max(1));
-            if core.is_some_and(|&core| !stay_on(core)) {
+            if !stay_on(cores[thread % cores.len()]) {
                 refused.store(true, SeqCst);
             }
         })?;
