@@ -143,6 +143,9 @@ class Camera {
   // From the next picture on.
   void set_ground(const gedepth_ground& ground) { check(gedepth_camera_set_ground(camera_.get(), &ground)); }
 
+  // Its threads on these cores, that of the caller on the first.
+  void pin(const std::uint32_t* cores, std::size_t count) { check(gedepth_camera_pin(camera_.get(), cores, count)); }
+
   gedepth_camera* get() const noexcept { return camera_.get(); }
 
  private:
