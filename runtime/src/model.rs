@@ -192,7 +192,7 @@ impl fmt::Debug for Model {
 }
 
 /// What neither tract nor the engine asks. Each node reads only what is there before it, as ONNX has it: what follows a tensor to where it
-/// comes from then ends. None is the engine's own, which trusts what it reads.
+/// comes from then ends.
 fn check_nodes(graph: &GraphProto) -> Result<(), String> {
     let elsewhere =
         |tensor: &&TensorProto| tensor.data_location == Some(DataLocation::External as i32);
@@ -236,8 +236,9 @@ fn check_nodes(graph: &GraphProto) -> Result<(), String> {
 
 /// No window is larger than any picture, here or in an inner graph: tract would allocate for it, and end the process. And no node is the
 /// engine's own, which trusts what it reads.
-fn check_windows<'a>(graph: &'a GraphProto, around: &[Reader<'a>]) -> Result<(), String> {
-    let scopes: Vec<Reader<'_>> = around.iter().cloned().chain([Reader::new(graph)]).collect();
+fn check_windows<'a>(graph: &'a GraphProto, around: &[&Reader<'a>]) -> Result<(), String> {
+    let own = Reader::new(graph);
+    let scopes: Vec<&Reader<'_>> = around.iter().copied().chain([&own]).collect();
     let pads = |node: &NodeProto| {
         let name = node.input.get(1).filter(|_| node.op_type == "Pad")?;
         let constant = scopes.iter().rev().find_map(|scope| scope.integers(name))?;

@@ -109,7 +109,6 @@ const BROADCAST: &[&str] = &[
 ];
 
 /// A graph with its names looked up.
-#[derive(Clone)]
 pub(crate) struct Reader<'a> {
     pub(super) graph: &'a GraphProto,
     made_by: HashMap<&'a str, usize>,
