@@ -72,12 +72,6 @@ impl Placement {
                         reason: format!("the model takes multiples of {multiple}"),
                     });
                 }
-                if asked.0.max(asked.1) > MAX_SIDE {
-                    return Err(Error::NetworkSize {
-                        asked,
-                        reason: format!("no side may be longer than {MAX_SIDE}"),
-                    });
-                }
                 asked
             }
             (None, None) => match contract.fit {
@@ -94,7 +88,7 @@ impl Placement {
             return Err(match asked {
                 Some(asked) => Error::NetworkSize {
                     asked,
-                    reason: format!("more than {MAX_PIXELS} pixels"),
+                    reason: format!("more than {MAX_PIXELS} pixels, or {MAX_SIDE} along a side"),
                 },
                 None => unfit(format!(
                     "the network would run at {network:?}, more than {MAX_PIXELS} pixels or {MAX_SIDE} along a side; give it a size"
