@@ -685,7 +685,7 @@ fn every_kernel_quantizes_any_real_as_the_definition_says() {
     }
 }
 
-/// Heads: a few outputs that leave as f32, from pixels of 16 channels and of others, in rows of any length.
+/// Heads: outputs that leave as f32, few or not, from pixels of any channels, in rows of any length.
 #[test]
 fn few_outputs_are_the_sums_that_they_should_be() {
     let mut numbers = Numbers(11);
@@ -697,6 +697,12 @@ fn few_outputs_are_the_sums_that_they_should_be() {
         (5, 16, 20),
         (2, 16, 7),
         (2, 32, 21),
+        (1, 48, 16),
+        (3, 4, 30),
+        (4, 80, 17),
+        (13, 16, 35),
+        (30, 20, 13),
+        (45, 4, 22),
     ] {
         // 3x3: three rows of input, a run of three pixels in each.
         let row_bytes = pitch * (pixels + 2);
@@ -768,10 +774,14 @@ fn starts_and_factors(outputs: usize) -> (Vec<i32>, Vec<f32>) {
 #[test]
 fn dense_of_any_outputs_in_rows_of_any_length() {
     let mut numbers = Numbers(13);
-    for outputs in [3_usize, 16, 20, 40, 64, 72, 96, 112] {
+    for outputs in [3_usize, 16, 20, 40, 48, 64, 72, 96, 112] {
         for pixels in [1_usize, 2, 3, 4, 7, 8, 15, 16, 37] {
-            let (runs, run) = (numbers.from(1..=3), 4 * numbers.from(1..=9));
-            let input: Vec<u8> = (0..runs * pixels * run)
+            // Runs beside each other, or of three pixels, two of them the next output's too.
+            let runs = numbers.from(1..=3);
+            let step = 4 * numbers.from(1..=9);
+            let run = step * [1, 3][numbers.below(2)];
+            let row_bytes = (pixels - 1) * step + run;
+            let input: Vec<u8> = (0..runs * row_bytes)
                 .map(|_| numbers.below(256) as u8)
                 .collect();
             let mut weights: Vec<i8> = (0..outputs * runs * run)
@@ -789,20 +799,20 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
                 }
             }
             let weight = |output, number, byte| weights[(output * runs + number) * run + byte];
-            let places: Vec<_> = (0..runs).map(|number| number * pixels * run).collect();
+            let places: Vec<_> = (0..runs).map(|number| number * row_bytes).collect();
             let (starts, factors) = starts_and_factors(outputs);
             let row = Row {
                 input: &input,
                 base: 0,
                 runs: &places,
-                step: run,
+                step,
                 pixels,
             };
             let to = to_bytes(&mut numbers);
             let expected = |output: usize, pixel: usize| {
                 let products = (0..runs * run).map(|at| {
                     let (number, byte) = (at / run, at % run);
-                    let input = input[(number * pixels + pixel) * run + byte];
+                    let input = input[number * row_bytes + pixel * step + byte];
                     i32::from(input) * i32::from(weight(output, number, byte))
                 });
                 byte_of(

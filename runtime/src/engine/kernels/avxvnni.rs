@@ -7,7 +7,7 @@
 use std::arch::x86_64::*;
 
 use super::avx2::{self, Limits, Multiply, Tile, scaled};
-use super::few::NARROW;
+use super::few::LANE;
 use super::{BLOCK, Dense, Depthwise, Group, Row, ToBytes};
 
 pub(super) use avx2::{add, quantize_four};
@@ -184,7 +184,7 @@ macro_rules! encoding {
             #[target_feature(enable = $features)]
             unsafe fn few(
                 packed: &Dense,
-                all: &[[i8; NARROW]],
+                all: &[[i8; LANE]],
                 output: usize,
                 row: &Row<'_>,
                 out: &mut [f32],
@@ -195,15 +195,16 @@ macro_rules! encoding {
                     let mut sums = [_mm256_setzero_si256(); FEW_PIXELS / 2];
                     let mut weights = all.as_ptr().wrapping_add(output);
                     for offset in row.runs {
-                        for tap in (0..packed.run).step_by(NARROW) {
+                        for tap in (0..packed.run).step_by(LANE) {
                             // SAFETY: each 16 bytes of each run have weights of each output.
                             let of_tap = unsafe { _mm_loadu_si128(weights.cast()) };
                             let of_tap = _mm256_broadcastsi128_si256(of_tap);
-                            let at = row.base + offset + pixel * NARROW + tap;
+                            let at = row.base + offset + pixel * row.step + tap;
                             for (two, sums) in sums.iter_mut().enumerate() {
-                                // SAFETY: the tap's bytes of two pixels of the row, one after the other.
+                                // SAFETY: the same 16 bytes of the run of two pixels of the row.
                                 let input = unsafe {
-                                    _mm256_loadu_si256(row.input.as_ptr().add(at + 32 * two).cast())
+                                    let one = row.input.as_ptr().add(at + 2 * two * row.step);
+                                    _mm256_loadu2_m128i(one.add(row.step).cast(), one.cast())
                                 };
                                 *sums = $multiply(*sums, input, of_tap);
                             }

@@ -1,16 +1,16 @@
-//! Dense convolutions of few outputs from pixels of 16 bytes: the heads. Each output is summed up over a register of a pixel's
-//! channels, instead of sixteen outputs of which most do not exist.
+//! Dense convolutions of few outputs: the heads. Each output is summed up over a register of a pixel's channels, instead of sixteen
+//! outputs of which most do not exist.
 
 use super::{Dense, Row};
 
 /// Outputs that leave three quarters of a block of lanes empty.
 pub(super) const FEW: usize = 4;
-/// Bytes of a pixel of input that is a 128-bit lane.
-pub(super) const NARROW: usize = 16;
+/// Bytes of a 128-bit lane.
+pub(super) const LANE: usize = 16;
 
 /// Weights of up to [`FEW`] outputs, `[run][16 bytes of it][output]`; empty where they are more, or runs no multiple of 16.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Few(Vec<[i8; NARROW]>);
+pub(super) struct Few(Vec<[i8; LANE]>);
 
 impl Few {
     pub(super) fn new(
@@ -19,12 +19,12 @@ impl Few {
         run: usize,
         weight: impl Fn(usize, usize, usize) -> i8,
     ) -> Self {
-        if outputs > FEW || !run.is_multiple_of(NARROW) {
+        if outputs > FEW || !run.is_multiple_of(LANE) {
             return Self::default();
         }
-        let mut few = Vec::with_capacity(runs * run / NARROW * outputs);
+        let mut few = Vec::with_capacity(runs * run / LANE * outputs);
         for number in 0..runs {
-            for start in (0..run).step_by(NARROW) {
+            for start in (0..run).step_by(LANE) {
                 few.extend((0..outputs).map(|output| {
                     std::array::from_fn(|byte| weight(output, number, start + byte))
                 }));
@@ -40,9 +40,9 @@ impl Few {
 }
 
 impl Dense {
-    /// The weights of few outputs, where it has them and the row's pixels are as narrow, and `least` or more.
-    pub(super) fn few(&self, row: &Row<'_>, least: usize) -> Option<&[[i8; NARROW]]> {
-        let fits = self.few.is_some() && row.step == NARROW && row.pixels >= least;
+    /// The weights of few outputs, where it has them and the row has `least` pixels or more.
+    pub(super) fn few(&self, row: &Row<'_>, least: usize) -> Option<&[[i8; LANE]]> {
+        let fits = self.few.is_some() && row.pixels >= least;
         fits.then_some(&self.few.0)
     }
 }

@@ -174,7 +174,7 @@ impl Kernel {
     /// How it wants the weights of dense convolutions.
     fn packing(self) -> Packing {
         let (bytes, group, skips) = match self {
-            Kernel::Avx512Vnni => (4, 4, true),
+            Kernel::Avx512Vnni => (4, 3, true),
             Kernel::Portable | Kernel::Avx2 | Kernel::AvxVnni => (4, 1, true),
             Kernel::Neon => (16, 1, false),
             Kernel::NeonDotprod => (4, 1, false),
@@ -239,6 +239,17 @@ struct Group {
     places: Vec<u32>,
     /// Where in [`Dense::weights`] its own begin.
     weights: usize,
+}
+
+impl Group {
+    /// Whether runs are three pixels of `step` bytes each, so that neighbouring outputs share two, and it leaves none of their weights
+    /// out.
+    #[cfg(target_arch = "x86_64")]
+    fn is_window(&self, dense: &Dense, step: usize) -> bool {
+        dense.run == 3 * step
+            && step.is_multiple_of(4)
+            && self.places.len() == dense.runs * dense.run / 4
+    }
 }
 
 impl Dense {

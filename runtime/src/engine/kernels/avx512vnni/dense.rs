@@ -20,13 +20,17 @@ struct Tile<'a> {
 }
 
 impl Tile<'_> {
-    /// Accumulators of `PIXELS` pixels in `BLOCKS` blocks of channels.
+    /// Accumulators of `PIXELS` pixels in `BLOCKS` blocks of channels. Four bytes of input are spread once for all `TAPS` pixels that
+    /// take them.
     ///
     /// # Safety
-    /// The row passed `Dense::check`; `lane`, `group` of `BLOCKS` and `pixel` are such that the tile lies in the row.
+    /// The row passed `Dense::check`; `lane`, `group` of `BLOCKS` and `pixel` are such that the tile lies in the row. `TAPS` is 1, or
+    /// 3 and [`Group::is_window`].
     #[target_feature(enable = "avx512f,avx512vnni")]
     #[inline]
-    unsafe fn sums<const BLOCKS: usize, const PIXELS: usize>(&self) -> [[__m512i; PIXELS]; BLOCKS] {
+    unsafe fn sums<const BLOCKS: usize, const PIXELS: usize, const TAPS: usize>(
+        &self,
+    ) -> [[__m512i; PIXELS]; BLOCKS] {
         let starts = &self.dense.starts;
         let mut sums = [[_mm512_setzero_si512(); PIXELS]; BLOCKS];
         for (block, sums) in sums.iter_mut().enumerate() {
@@ -40,6 +44,8 @@ impl Tile<'_> {
         let mut place = places.as_ptr();
         let mut weights = self.weights;
         let step = self.row.step;
+        let of_tap = self.dense.run / 4 / TAPS;
+        let tap = of_tap * BLOCKS * 4 * BLOCK;
         for (offset, &count) in self.row.runs.iter().zip(counts) {
             // SAFETY: the first byte of the run of the tile's first pixel is in the row's input.
             let first = unsafe {
@@ -48,45 +54,66 @@ impl Tile<'_> {
                     .as_ptr()
                     .add(self.row.base + offset + self.pixel * step)
             };
-            // Several blocks leave nothing out: to look up counts and places is 2 to 3 % of their time.
-            let count = if BLOCKS > 1 {
-                self.dense.run / 4
-            } else {
-                count as usize
-            };
-            let mut input = first;
+            let skips = BLOCKS == 1 && TAPS == 1;
+            // To look up counts and places is 2 to 3 % of the time of those that leave nothing out.
+            let count = if skips { count as usize } else { of_tap };
+            let fourth = |number: usize, at: usize| first.wrapping_add(4 * number * step + at);
+            // Where the input of every fourth pixel is: all others are a multiple of `step` from there that an address can hold.
+            let mut fours: [*const u8; 5] = std::array::from_fn(|number| fourth(number, 0));
             for _ in 0..count {
-                if BLOCKS == 1 {
+                if skips {
                     // SAFETY: a group has as many places, within its runs, as the sum of its counts.
-                    input = unsafe { first.add(*place as usize) };
+                    let at = unsafe { *place } as usize;
+                    fours = std::array::from_fn(|number| fourth(number, at));
                     place = place.wrapping_add(1);
                 }
-                let mut w = [_mm512_setzero_si512(); BLOCKS];
-                for (block, w) in w.iter_mut().enumerate() {
-                    // SAFETY: a group has `BLOCKS` vectors of weights for each place.
-                    *w = unsafe { _mm512_loadu_si512(weights.add(block * 4 * BLOCK).cast()) };
-                }
-                for pixel in 0..PIXELS {
-                    // SAFETY: four bytes of a run of a pixel of the row.
-                    let quad = unsafe { input.add(pixel * step).cast::<i32>().read_unaligned() };
-                    let quad = _mm512_set1_epi32(quad);
-                    for (sums, &w) in sums.iter_mut().zip(&w) {
-                        sums[pixel] = _mm512_dpbusd_epi32(sums[pixel], quad, w);
+                let mut w = [[_mm512_setzero_si512(); BLOCKS]; TAPS];
+                for (number, w) in w.iter_mut().enumerate() {
+                    for (block, w) in w.iter_mut().enumerate() {
+                        // SAFETY: a group has `BLOCKS` vectors of weights for each place.
+                        *w = unsafe {
+                            _mm512_loadu_si512(weights.add(number * tap + block * 4 * BLOCK).cast())
+                        };
                     }
-                    if BLOCKS == 1 {
+                }
+                unrolled!(column in 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 {
+                    if column < PIXELS + TAPS - 1 {
+                        // SAFETY: four bytes of a run of a pixel of the row.
+                        let quad = unsafe { fours[column / 4].add(column % 4 * step).cast::<i32>().read_unaligned() };
+                        let quad = _mm512_set1_epi32(quad);
+                        unrolled!(number in 0 1 2 {
+                            if number < TAPS && column >= number && column - number < PIXELS {
+                                for (sums, w) in sums.iter_mut().zip(&w[number]) {
+                                    let sum = &mut sums[column - number];
+                                    *sum = _mm512_dpbusd_epi32(*sum, quad, *w);
+                                }
+                            }
+                        });
                         // Empty, but what it may touch stays in order: with all loads before all products, as the compiler would
                         // have it, the sums do not fit into the registers.
                         // SAFETY: no instruction.
                         unsafe {
-                            asm!("/* {} */", inout(zmm_reg) sums[0][pixel], options(nostack, preserves_flags));
+                            asm!("/* {} */", inout(zmm_reg) sums[0][column.min(PIXELS - 1)], options(nostack, preserves_flags));
+                        }
+                    }
+                });
+                if !skips {
+                    for four in &mut fours[..(PIXELS + TAPS - 1).div_ceil(4)] {
+                        *four = four.wrapping_add(4);
+                        // Empty too: the compiler would make each address of the one before, by an instruction each.
+                        // SAFETY: no instruction.
+                        unsafe {
+                            asm!(
+                                "/* {} */",
+                                inout(reg) * four,
+                                options(nostack, preserves_flags)
+                            );
                         }
                     }
                 }
-                if BLOCKS > 1 {
-                    input = input.wrapping_add(4);
-                }
                 weights = weights.wrapping_add(BLOCKS * 4 * BLOCK);
             }
+            weights = weights.wrapping_add((TAPS - 1) * tap);
         }
         sums
     }
@@ -97,14 +124,14 @@ impl Tile<'_> {
     /// As [`Tile::sums`]; `out` has room for the row.
     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
     #[inline]
-    unsafe fn bytes<const BLOCKS: usize, const PIXELS: usize>(
+    unsafe fn bytes<const BLOCKS: usize, const PIXELS: usize, const TAPS: usize>(
         &self,
         limits: Limits,
         out: *mut u8,
         pitch: usize,
     ) {
         // SAFETY: as this function's.
-        let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
+        let sums = unsafe { self.sums::<BLOCKS, PIXELS, TAPS>() };
         // From lanes of four channels of each register to lanes of sixteen channels of one.
         let in_order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
         // SAFETY: there is a factor for every lane.
@@ -130,7 +157,7 @@ impl Tile<'_> {
                     of(first + 1, 0),
                     of(first + 1, 1),
                 ],
-                _ => [of(first, 0), of(first, 1), of(first, 2), of(first, 3)],
+                _ => [of(first, 0), of(first, 1), of(first, 2), of(first, 2)],
             };
             let bytes = _mm512_permutexvar_epi32(in_order, limits.pack(four));
             // SAFETY: the pixels' bytes are in `out`.
@@ -159,8 +186,7 @@ impl Tile<'_> {
                             _mm256_storeu_si256(out.add(pitch).cast(), second);
                         }
                     }
-                    3 => _mm512_mask_storeu_epi8(out.cast(), u64::MAX >> 16, bytes),
-                    _ => _mm512_storeu_si512(out.cast(), bytes),
+                    _ => _mm512_mask_storeu_epi8(out.cast(), u64::MAX >> 16, bytes),
                 }
             }
         }
@@ -172,9 +198,12 @@ impl Tile<'_> {
     /// As [`Tile::sums`]; `out` has room for the row.
     #[target_feature(enable = "avx512f,avx512vl,avx512vnni")]
     #[inline]
-    unsafe fn floats<const BLOCKS: usize, const PIXELS: usize>(&self, out: *mut f32) {
+    unsafe fn floats<const BLOCKS: usize, const PIXELS: usize, const TAPS: usize>(
+        &self,
+        out: *mut f32,
+    ) {
         // SAFETY: as this function's.
-        let sums = unsafe { self.sums::<BLOCKS, PIXELS>() };
+        let sums = unsafe { self.sums::<BLOCKS, PIXELS, TAPS>() };
         let pixels = self.row.pixels;
         for (block, sums) in sums.iter().enumerate() {
             let lane = self.lane + block * BLOCK;
@@ -231,33 +260,40 @@ impl Tile<'_> {
     }
 }
 
-/// Covers a row with tiles of `$most` pixels, then of four (the last one moved back onto pixels already done), or, in
-/// a row shorter than that, of one.
+/// Covers a row with tiles of `$most` pixels, of `$window` where three taps of each share what is loaded, then of four (the last one
+/// moved back onto pixels already done), or, in a row shorter than that, of one.
 macro_rules! tiles {
-    ($tile:ident, $blocks:literal, $most:literal, $method:ident($($argument:expr),*)) => {{
+    ($tile:ident, $blocks:literal, $most:literal, $window:literal, $method:ident($($argument:expr),*)) => {{
         let pixels = $tile.row.pixels;
         let mut pixel = 0;
+        if $tile.group.is_window($tile.dense, $tile.row.step) {
+            while pixel + $window <= pixels {
+                $tile.pixel = pixel;
+                $tile.$method::<$blocks, $window, 3>($($argument),*);
+                pixel += $window;
+            }
+        }
         while pixel + $most <= pixels {
             $tile.pixel = pixel;
-            $tile.$method::<$blocks, $most>($($argument),*);
+            $tile.$method::<$blocks, $most, 1>($($argument),*);
             pixel += $most;
         }
         while pixel < pixels && pixels >= 4 {
             $tile.pixel = pixel.min(pixels - 4);
-            $tile.$method::<$blocks, 4>($($argument),*);
+            $tile.$method::<$blocks, 4, 1>($($argument),*);
             pixel += 4;
         }
         while pixel < pixels {
             $tile.pixel = pixel;
-            $tile.$method::<$blocks, 1>($($argument),*);
+            $tile.$method::<$blocks, 1, 1>($($argument),*);
             pixel += 1;
         }
     }};
 }
 
-/// Covers all channels of a row; of two and of three blocks with tiles of `$most` pixels.
+/// Covers all channels of a row; of two and of three blocks with tiles of `$most` pixels, of three in windows of `$window`.
 macro_rules! channels {
-    ($dense:ident, $row:ident, $most:literal, $method:ident($($argument:expr),*)) => {{
+    ($dense:ident, $row:ident, $most:literal, $window:literal, $method:ident($($argument:expr),*)) => {{
         let mut lane = 0;
         for group in &$dense.groups {
             let mut tile = Tile { dense: $dense, row: $row, lane, group, weights: $dense.weights[group.weights..].as_ptr(), pixel: 0 };
@@ -265,10 +301,9 @@ macro_rules! channels {
             // the caller of this function checked that `out` has room.
             unsafe {
                 match group.blocks {
-                    1 => tiles!(tile, 1, 16, $method($($argument),*)),
-                    2 => tiles!(tile, 2, $most, $method($($argument),*)),
-                    3 => tiles!(tile, 3, $most, $method($($argument),*)),
-                    _ => tiles!(tile, 4, 4, $method($($argument),*)),
+                    1 => tiles!(tile, 1, 16, 16, $method($($argument),*)),
+                    2 => tiles!(tile, 2, $most, $most, $method($($argument),*)),
+                    _ => tiles!(tile, 3, $most, $window, $method($($argument),*)),
                 }
             }
             lane += group.blocks * BLOCK;
@@ -288,7 +323,7 @@ pub(in super::super) unsafe fn dense_bytes(
 ) {
     let limits = Limits::new(to);
     let out = out.as_mut_ptr();
-    channels!(dense, row, 8, bytes(limits, out, pitch));
+    channels!(dense, row, 8, 6, bytes(limits, out, pitch));
 }
 
 /// # Safety
@@ -301,5 +336,5 @@ pub(in super::super) unsafe fn dense_floats(dense: &Dense, row: &Row<'_>, out: &
         return unsafe { few::few_floats(dense, weights, row, out) };
     }
     // Rarely more than one block: not worth the code of larger tiles.
-    channels!(dense, row, 4, floats(out));
+    channels!(dense, row, 4, 4, floats(out));
 }

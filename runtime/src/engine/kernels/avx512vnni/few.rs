@@ -2,13 +2,13 @@
 
 use std::arch::x86_64::*;
 
-use super::super::few::{FEW, NARROW};
+use super::super::few::{FEW, LANE};
 use super::super::{Dense, Row};
 
 /// Pixels of a tile: four registers of four.
 pub(super) const PIXELS: usize = 16;
 
-/// Up to four outputs from pixels of 16 channels: the heads. A register holds four pixels of one output, each as four sums that are
+/// Up to four outputs: the heads. A register holds four pixels of one output, each as four sums that are
 /// added up in the end, instead of sixteen outputs of one pixel of which most do not exist.
 ///
 /// # Safety
@@ -17,7 +17,7 @@ pub(super) const PIXELS: usize = 16;
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 pub(super) unsafe fn few_floats(
     dense: &Dense,
-    weights: &[[i8; NARROW]],
+    weights: &[[i8; LANE]],
     row: &Row<'_>,
     out: *mut f32,
 ) {
@@ -38,7 +38,7 @@ pub(super) unsafe fn few_floats(
 #[inline]
 unsafe fn few_of<const OUTPUTS: usize>(
     dense: &Dense,
-    all: &[[i8; NARROW]],
+    all: &[[i8; LANE]],
     row: &Row<'_>,
     out: *mut f32,
 ) {
@@ -47,13 +47,13 @@ unsafe fn few_of<const OUTPUTS: usize>(
         let mut sums = [[_mm512_setzero_si512(); PIXELS / 4]; OUTPUTS];
         let mut weights = all.as_ptr();
         for offset in row.runs {
-            for tap in (0..dense.run).step_by(NARROW) {
-                let at = row.base + offset + pixel * NARROW + tap;
+            for tap in (0..dense.run).step_by(LANE) {
+                let at = row.base + offset + pixel * row.step + tap;
                 let mut input = [_mm512_setzero_si512(); PIXELS / 4];
                 for (four, input) in input.iter_mut().enumerate() {
-                    // SAFETY: the tap's bytes of four pixels of the row, one after the other.
+                    // SAFETY: the same 16 bytes of the run of four pixels of the row.
                     *input = unsafe {
-                        _mm512_loadu_si512(row.input.as_ptr().add(at + 64 * four).cast())
+                        lanes(row.input.as_ptr().add(at + 4 * four * row.step), row.step)
                     };
                 }
                 for (output, sums) in sums.iter_mut().enumerate() {
@@ -84,5 +84,25 @@ unsafe fn few_of<const OUTPUTS: usize>(
                 _mm512_storeu_ps(out.add(output * row.pixels + pixel), value);
             }
         }
+    }
+}
+
+/// Four times 16 bytes, `step` apart.
+///
+/// # Safety
+/// They can be read.
+#[target_feature(enable = "avx512f")]
+#[inline]
+unsafe fn lanes(first: *const u8, step: usize) -> __m512i {
+    // SAFETY: passed on.
+    unsafe {
+        if step == LANE {
+            return _mm512_loadu_si512(first.cast());
+        }
+        let lane = |number: usize| _mm_loadu_si128(first.add(number * step).cast());
+        let lanes = _mm512_castsi128_si512(lane(0));
+        let lanes = _mm512_inserti32x4::<1>(lanes, lane(1));
+        let lanes = _mm512_inserti32x4::<2>(lanes, lane(2));
+        _mm512_inserti32x4::<3>(lanes, lane(3))
     }
 }

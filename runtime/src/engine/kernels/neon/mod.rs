@@ -3,7 +3,7 @@
 
 use std::arch::aarch64::*;
 
-use super::few::NARROW;
+use super::few::LANE;
 use super::{Addition, BLOCK, Dense, Row, ToBytes, portable};
 
 pub(super) mod depthwise;
@@ -257,24 +257,24 @@ unsafe fn floats<M: Multiply>(packed: &Dense, row: &Row<'_>, out: &mut [f32]) {
 #[inline(always)]
 unsafe fn few<M: Multiply>(
     packed: &Dense,
-    all: &[[i8; NARROW]],
+    all: &[[i8; LANE]],
     output: usize,
     row: &Row<'_>,
     out: &mut [f32],
 ) {
     for pixel in (0..row.pixels).step_by(PIXELS) {
         let pixel = pixel.min(row.pixels - PIXELS);
-        // SAFETY: sixteen bytes of each tap of the pixels of the row, and as many weights of each output; a start and a factor for
+        // SAFETY: sixteen bytes at a time of the runs of the pixels of the row, and as many weights of each output; a start and a factor for
         // each output, and four pixels of its row.
         unsafe {
             let mut sums = [vdupq_n_s32(0); PIXELS];
             let mut weights = all.as_ptr().add(output);
             for offset in row.runs {
-                for tap in (0..packed.run).step_by(NARROW) {
+                for tap in (0..packed.run).step_by(LANE) {
                     let of_tap = vld1q_s8(weights.cast());
-                    let at = row.base + offset + pixel * NARROW + tap;
+                    let at = row.base + offset + pixel * row.step + tap;
                     for (number, sums) in sums.iter_mut().enumerate() {
-                        let input = vld1q_u8(row.input.as_ptr().add(at + NARROW * number));
+                        let input = vld1q_u8(row.input.as_ptr().add(at + number * row.step));
                         *sums = M::products(*sums, M::input(input), of_tap);
                     }
                     weights = weights.wrapping_add(packed.outputs);
