@@ -395,12 +395,14 @@ impl Convolution {
             if !factor.is_finite() {
                 return false;
             }
-            let mut ends = [i64::from(self.bias[output]); 2];
-            for &weight in self.filter(output) {
-                let products = [i64::from(weight) * least, i64::from(weight) * most];
-                ends[0] += products[0].min(products[1]);
-                ends[1] += products[0].max(products[1]);
-            }
+            let filter = || self.filter(output).iter().map(|&weight| i64::from(weight));
+            let above: i64 = filter().map(|weight| weight.max(0)).sum();
+            let below: i64 = filter().map(|weight| weight.min(0)).sum();
+            let bias = i64::from(self.bias[output]);
+            let ends = [
+                bias + above * least + below * most,
+                bias + above * most + below * least,
+            ];
             let farthest = ends[0].abs().max(ends[1].abs());
             let step = match form {
                 Form::Bytes { .. } => farthest as f64 * f64::from(factor),

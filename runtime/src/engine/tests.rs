@@ -734,7 +734,7 @@ fn few_outputs_are_the_sums_that_they_should_be() {
             (sum + starts[output]) as f32 * factors[output]
         };
         for kernel in kernels() {
-            let dense = Dense::new(kernel, outputs, 3, 3 * pitch, &starts, &factors, weight);
+            let dense = Dense::new(kernel, [3, 3 * pitch], &starts, &factors, &weights);
             let mut out = vec![f32::NAN; dense.lanes() * pixels];
             kernel.dense_floats(&dense, &row, &mut out);
             for (output, values) in out.chunks_exact(pixels).take(outputs).enumerate() {
@@ -821,7 +821,7 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
                 )
             };
             for kernel in kernels() {
-                let dense = Dense::new(kernel, outputs, runs, run, &starts, &factors, weight);
+                let dense = Dense::new(kernel, [runs, run], &starts, &factors, &weights);
                 let pitch = dense.lanes();
                 let mut out = vec![199; pitch * pixels + 64];
                 kernel.dense_bytes(&dense, &row, &to, &mut out[..pitch * pixels], pitch);
@@ -850,10 +850,12 @@ fn blocks_of_zeros_take_no_multiplication_where_that_pays() {
     let (starts, factors) = starts_and_factors(64);
     for kernel in kernels() {
         let multiplied = |zeros: usize| {
-            let weight = |output: usize, _, byte: usize| {
+            let weight = |at: usize| {
+                let (output, byte) = (at / 32, at % 32);
                 i8::from(output / 16 * 8 + byte / 4 >= zeros && (output + byte).is_multiple_of(3))
             };
-            Dense::new(kernel, 64, 1, 32, &starts, &factors, weight).blocks_of_weights()
+            let weights: Vec<i8> = (0..64 * 32).map(weight).collect();
+            Dense::new(kernel, [1, 32], &starts, &factors, &weights).blocks_of_weights()
         };
         let [few, many, all] = [6, 7, 32].map(multiplied);
         let expected = match kernel {

@@ -13,24 +13,15 @@ pub(super) const LANE: usize = 16;
 pub(super) struct Few(Vec<[i8; LANE]>);
 
 impl Few {
-    pub(super) fn new(
-        outputs: usize,
-        runs: usize,
-        run: usize,
-        weight: impl Fn(usize, usize, usize) -> i8,
-    ) -> Self {
+    /// Of `weights`, `[output][run][byte]`.
+    pub(super) fn new([outputs, runs, run]: [usize; 3], weights: &[i8]) -> Self {
         if outputs > FEW || !run.is_multiple_of(LANE) {
             return Self::default();
         }
-        let mut few = Vec::with_capacity(runs * run / LANE * outputs);
-        for number in 0..runs {
-            for start in (0..run).step_by(LANE) {
-                few.extend((0..outputs).map(|output| {
-                    std::array::from_fn(|byte| weight(output, number, start + byte))
-                }));
-            }
-        }
-        Self(few)
+        let lanes = weights.as_chunks::<LANE>().0;
+        let of_output = runs * run / LANE;
+        let order = (0..of_output).flat_map(|at| (0..outputs).map(move |o| o * of_output + at));
+        Self(order.map(|at| lanes[at]).collect())
     }
 
     /// Whether the outputs are few.

@@ -253,21 +253,20 @@ impl Group {
 }
 
 impl Dense {
-    /// Packs `weight(output, run, byte)`, none of them below [`Kernel::least_weight`].
+    /// Packs `weights`, `[output][run][byte]`, none of them below [`Kernel::least_weight`].
     pub(crate) fn new(
         kernel: Kernel,
-        outputs: usize,
-        runs: usize,
-        run: usize,
+        [runs, run]: [usize; 2],
         starts: &[i32],
         factors: &[f32],
-        weight: impl Fn(usize, usize, usize) -> i8,
+        weights: &[i8],
     ) -> Self {
-        let weight = |output: usize, run: usize, byte: usize| {
-            let weight = weight(output, run, byte);
-            debug_assert!(weight >= kernel.least_weight());
-            weight
-        };
+        debug_assert!(
+            weights
+                .iter()
+                .all(|&weight| weight >= kernel.least_weight())
+        );
+        let outputs = starts.len();
         let packing = kernel.packing();
         let blocks = outputs.div_ceil(BLOCK);
         let pieces: Vec<_> = (0..runs)
@@ -277,10 +276,13 @@ impl Dense {
                     .map(move |start| (number, start))
             })
             .collect();
-        let has_weights = |block: usize, (number, start): (usize, usize)| {
+        let piece = |output: usize, (number, start): (usize, usize)| {
+            let at = (output * runs + number) * run;
+            &weights[at + start..at + run.min(start + packing.bytes)]
+        };
+        let has_weights = |block: usize, place: (usize, usize)| {
             let mut outputs = block * BLOCK..outputs.min((block + 1) * BLOCK);
-            let bytes = start..run.min(start + packing.bytes);
-            outputs.any(|output| bytes.clone().any(|byte| weight(output, number, byte) != 0))
+            outputs.any(|output| piece(output, place).iter().any(|&weight| weight != 0))
         };
         let filled = |block| {
             pieces
@@ -292,51 +294,45 @@ impl Dense {
         // Blocks that are alone load more for as many multiplications: it takes a fifth less of these to pay.
         let alone = packing.skips && packing.group > 1 && 5 * filled() < 4 * blocks * pieces.len();
         let mut groups = Vec::new();
-        let mut weights = Vec::new();
+        let mut packed = Vec::new();
         let mut first = 0;
         for blocks in sizes_of_groups(blocks, if alone { 1 } else { packing.group }) {
             let mut group = Group {
                 blocks,
                 counts: vec![0; runs],
                 places: Vec::new(),
-                weights: weights.len(),
+                weights: packed.len(),
             };
-            for &(number, start) in &pieces {
-                if packing.skips && blocks == 1 && !has_weights(first, (number, start)) {
+            for &place @ (number, start) in &pieces {
+                if packing.skips && blocks == 1 && !has_weights(first, place) {
                     continue;
                 }
                 group.counts[number] += 1;
                 group.places.push(start as u32);
                 for output in first * BLOCK..(first + blocks) * BLOCK {
-                    for byte in start..start + packing.bytes {
-                        let is_one = output < outputs && byte < run;
-                        weights.push(if is_one {
-                            weight(output, number, byte)
-                        } else {
-                            0
-                        });
+                    let end = packed.len() + packing.bytes;
+                    if output < outputs {
+                        packed.extend_from_slice(piece(output, place));
                     }
+                    packed.resize(end, 0);
                 }
             }
             groups.push(group);
             first += blocks;
         }
         // What growth has left over.
-        weights.shrink_to_fit();
+        packed.shrink_to_fit();
         #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
         let few = match kernel {
             Kernel::Portable | Kernel::Avx2 => Few::default(),
-            _ => Few::new(outputs, runs, run, weight),
+            _ => Few::new([outputs, runs, run], weights),
         };
         let padded = |length| length - outputs;
         let mut starts = starts.to_vec();
         if let Kernel::Neon | Kernel::NeonDotprod = kernel {
             // They multiply signed bytes, `x - 128`.
-            for (output, start) in starts.iter_mut().enumerate() {
-                let all = (0..runs).flat_map(|number| (0..run).map(move |byte| (number, byte)));
-                let sum: i32 = all
-                    .map(|(n, byte)| i32::from(weight(output, n, byte)))
-                    .sum();
+            for (start, weights) in starts.iter_mut().zip(weights.chunks_exact(runs * run)) {
+                let sum: i32 = weights.iter().map(|&weight| i32::from(weight)).sum();
                 *start = start.wrapping_add(sum.wrapping_mul(128));
             }
         }
@@ -350,7 +346,7 @@ impl Dense {
             runs,
             run,
             groups,
-            weights,
+            weights: packed,
             #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
             few,
             starts,

@@ -75,44 +75,31 @@ pub(super) fn dense(
         });
         (starts.collect(), channels)
     };
+    let outputs: usize = convolutions.iter().map(|c| c.outputs).sum();
     // What is too large for one weight is read again, with the rest of it.
     let once = runs.len();
     let runs = runs.repeat(parts);
-    let weight = |output: usize, number: usize, byte: usize| {
-        let (again, number) = (number / once, number % once);
-        let (row, column, channel) = if window.dilations[1] == 1 {
-            (number, byte / input.pitch, byte % input.pitch)
-        } else {
-            (number / columns, number % columns, byte)
-        };
-        let mut output = output;
-        for convolution in convolutions {
-            if output < convolution.outputs {
-                let at = (channel * rows + row) * columns + column;
-                return if channel < *inputs {
-                    part(convolution.filter(output)[at], again, least)
-                } else {
-                    0
-                };
-            }
-            output -= convolution.outputs;
-        }
-        0
-    };
-    let outputs = convolutions
+    let mut weights = vec![0; outputs * runs.len() * run];
+    let filters = convolutions
         .iter()
-        .map(|convolution| convolution.outputs)
-        .sum();
+        .flat_map(|c| (0..c.outputs).map(|output| c.filter(output)));
+    for (filter, weights) in filters.zip(weights.chunks_exact_mut(runs.len() * run)) {
+        for tap in 0..parts * rows * columns {
+            let (again, tap) = (tap / (rows * columns), tap % (rows * columns));
+            let at = match window.dilations[1] {
+                1 => tap / columns * run + tap % columns * input.pitch,
+                _ => tap * run,
+            };
+            let of_tap = filter.iter().skip(tap).step_by(rows * columns);
+            let weights = &mut weights[again * once * run + at..][..*inputs];
+            for (weight, byte) in of_tap.zip(weights) {
+                *byte = part(*weight, again, least);
+            }
+        }
+    }
+    let (starts, factors) = (starts.concat(), factors.concat());
     (
-        Dense::new(
-            kernel,
-            outputs,
-            runs.len(),
-            run,
-            &starts.concat(),
-            &factors.concat(),
-            weight,
-        ),
+        Dense::new(kernel, [runs.len(), run], &starts, &factors, &weights),
         runs,
     )
 }
