@@ -118,7 +118,7 @@ impl Tile<'_> {
         sums
     }
 
-    /// Writes a tile as bytes. `PIXELS` is a multiple of four, or 1.
+    /// Writes a tile as bytes. `PIXELS` is 1; or of one block a multiple of four, of two even.
     ///
     /// # Safety
     /// As [`Tile::sums`]; `out` has room for the row.
