@@ -689,52 +689,53 @@ fn every_kernel_quantizes_any_real_as_the_definition_says() {
 #[test]
 fn few_outputs_are_the_sums_that_they_should_be() {
     let mut numbers = Numbers(11);
-    for (outputs, pitch, pixels) in [
-        (1, 16, 40),
-        (2, 16, 16),
-        (3, 16, 19),
-        (4, 16, 33),
-        (5, 16, 20),
-        (2, 16, 7),
-        (2, 32, 21),
-        (1, 48, 16),
-        (3, 4, 30),
-        (4, 80, 17),
-        (13, 16, 35),
-        (30, 20, 13),
-        (45, 4, 22),
+    // Rows of three pixels beside each other, of strides and dilations, of four bytes.
+    for (outputs, run, step, pixels) in [
+        (1, 48, 16, 40),
+        (2, 48, 16, 16),
+        (3, 48, 16, 19),
+        (4, 48, 16, 33),
+        (5, 48, 16, 20),
+        (2, 48, 16, 7),
+        (2, 96, 32, 21),
+        (1, 144, 48, 16),
+        (3, 12, 4, 30),
+        (2, 16, 4, 18),
+        (3, 16, 32, 17),
+        (4, 48, 32, 25),
+        (1, 96, 64, 31),
+        (13, 48, 16, 35),
+        (30, 60, 20, 13),
+        (45, 60, 20, 22),
     ] {
-        // 3x3: three rows of input, a run of three pixels in each.
-        let row_bytes = pitch * (pixels + 2);
+        let row_bytes = (pixels - 1) * step + run;
         let input: Vec<u8> = (0..3 * row_bytes)
             .map(|_| numbers.below(256) as u8)
             .collect();
-        let weights: Vec<i8> = (0..outputs * 9 * pitch)
+        let weights: Vec<i8> = (0..outputs * 3 * run)
             .map(|_| (numbers.below(255) as i32 - 127) as i8)
             .collect();
-        let weight =
-            |output: usize, run: usize, byte: usize| weights[(output * 3 + run) * 3 * pitch + byte];
         let starts: Vec<i32> = (0..outputs as i32).map(|o| 1000 * o - 1500).collect();
         let factors: Vec<f32> = (0..outputs).map(|o| 0.125 + o as f32).collect();
         let row = Row {
             input: &input,
             base: 0,
             runs: &[0, row_bytes, 2 * row_bytes],
-            step: pitch,
+            step,
             pixels,
         };
         let expected = |output: usize, pixel: usize| {
-            let products = (0..3).flat_map(|run| (0..3 * pitch).map(move |byte| (run, byte)));
-            let sum: i32 = products
-                .map(|(run, byte)| {
-                    let x = input[run * row_bytes + pixel * pitch + byte];
-                    i32::from(x) * i32::from(weight(output, run, byte))
-                })
-                .sum();
-            (sum + starts[output]) as f32 * factors[output]
+            let products = (0..3 * run).map(|at| {
+                let x = input[at / run * row_bytes + pixel * step + at % run];
+                i32::from(x) * i32::from(weights[output * 3 * run + at])
+            });
+            (products.sum::<i32>() + starts[output]) as f32 * factors[output]
         };
         for kernel in kernels() {
-            let dense = Dense::new(kernel, [3, 3 * pitch], &starts, &factors, &weights);
+            let dense = Dense::new(kernel, [3, run], &starts, &factors, &weights);
+            let few = outputs <= 4 && run % 16 == 0 && pixels >= 16;
+            let knows_few = !matches!(kernel, Kernel::Portable | Kernel::Avx2);
+            assert_eq!(dense.has_few_outputs(&row), few && knows_few, "{kernel:?}");
             let mut out = vec![f32::NAN; dense.lanes() * pixels];
             kernel.dense_floats(&dense, &row, &mut out);
             for (output, values) in out.chunks_exact(pixels).take(outputs).enumerate() {
@@ -742,7 +743,7 @@ fn few_outputs_are_the_sums_that_they_should_be() {
                     assert_eq!(
                         *value,
                         expected(output, pixel),
-                        "{kernel:?}, {outputs} outputs, {pitch} bytes, output {output}, pixel {pixel}"
+                        "{kernel:?}, {outputs} outputs, {run} bytes by {step}, output {output}, pixel {pixel}"
                     );
                 }
             }
@@ -775,11 +776,14 @@ fn starts_and_factors(outputs: usize) -> (Vec<i32>, Vec<f32>) {
 fn dense_of_any_outputs_in_rows_of_any_length() {
     let mut numbers = Numbers(13);
     for outputs in [3_usize, 16, 20, 40, 48, 64, 72, 96, 112] {
-        for pixels in [1_usize, 2, 3, 4, 7, 8, 15, 16, 37] {
-            // Runs beside each other, or of three pixels, two of them the next output's too.
+        // Runs beside each other, or of three pixels, two of them the next output's too.
+        for (pixels, taps) in [1_usize, 2, 3, 4, 7, 8, 15, 16, 37]
+            .into_iter()
+            .flat_map(|pixels| [(pixels, 1), (pixels, 3)])
+        {
             let runs = numbers.from(1..=3);
             let step = 4 * numbers.from(1..=9);
-            let run = step * [1, 3][numbers.below(2)];
+            let run = step * taps;
             let row_bytes = (pixels - 1) * step + run;
             let input: Vec<u8> = (0..runs * row_bytes)
                 .map(|_| numbers.below(256) as u8)
@@ -788,7 +792,7 @@ fn dense_of_any_outputs_in_rows_of_any_length() {
                 .map(|_| (numbers.below(255) as i32 - 127) as i8)
                 .collect();
             // Blocks without weights, which kernels may leave out: none, some, most, all.
-            let share = numbers.below(4);
+            let share = numbers.below(7).saturating_sub(3);
             for output in (0..outputs).step_by(16) {
                 for byte in (0..runs * run).step_by(4) {
                     if numbers.below(3) < share {

@@ -359,8 +359,7 @@ impl Dense {
         self.blocks * BLOCK
     }
 
-    /// Whether [`Kernel::dense_floats`] makes rows like this one, of few outputs, in a quarter of the time that
-    /// [`Kernel::dense_bytes`] takes.
+    /// Whether [`Kernel::dense_floats`] makes rows like this one, of few outputs, in less time than [`Kernel::dense_bytes`].
     #[cfg_attr(
         not(any(target_arch = "x86_64", target_arch = "aarch64")),
         expect(unused_variables, reason = "the portable kernels know no few outputs")

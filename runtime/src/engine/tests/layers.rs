@@ -308,7 +308,7 @@ fn linear_layers_are_the_nearest_step() {
     }
 }
 
-/// Heads as ONNX Runtime's tools quantize them: one to four outputs of narrow pixels, which kernels sum up in another way.
+/// Heads as ONNX Runtime's tools quantize them: one to four outputs, which kernels sum up in another way.
 #[test]
 fn convolutions_of_few_outputs_are_the_nearest_step() {
     let mut numbers = Numbers(31);
