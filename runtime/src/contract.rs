@@ -10,24 +10,26 @@
 //! | `mode` | `baseline`, `vanilla`, `adaptive` | all |
 //! | `fusion` | `runtime` (the outputs are heads), `graph` (the output is the depth, metres) | all |
 //! | `input` | name of the input, f32 `[1, channels, height, width]` | all |
-//! | `channels` | list of `red`, `green`, `blue`, `inverse_ground_depth`, `ground_depth`, `ground_depth_unfiltered` | all |
+//! | `channels` | list of `red`, `green`, `blue`, once each, and `inverse_ground_depth`, `ground_depth` or `ground_depth_unfiltered`, which a baseline has not | all |
 //! | `mean`, `std` | three numbers each, of red, green and blue in 0 to 255, whatever the order of the channels; `std` at least 1 | all |
-//! | `size_multiple` | height and width are multiples of this | all |
-//! | `nominal_size` | `WIDTHxHEIGHT` the network was made for | all |
+//! | `size_multiple` | height and width are multiples of this, 1 to 1024 | all |
+//! | `nominal_size` | `WIDTHxHEIGHT` the network was made for: such multiples, at most 16384 a side and 2^24 pixels | all |
 //! | `fit` | `resize` (default), `crop`: bottom-centre crop, no resampling | optional |
-//! | `ground_scale_m` | metres; see [`GroundChannel`] | a ground channel |
-//! | `ground_limit` | bound of the scaled channel; see [`GroundChannel`] | a scaled ground channel |
+//! | `ground_scale_m` | metres, positive; see [`GroundChannel`] | a ground channel |
+//! | `ground_limit` | bound of the scaled channel, positive; see [`GroundChannel`] | a scaled ground channel |
 //! | `residual` | name of the output `[1, 1, h, w]`; with `fusion` = `graph`, of the depth | all |
 //! | `residual_form` | `depth` (metres), `log_depth` (its natural logarithm), `log_metres_per_pixel` (that of `z / f`) | fusion in the runtime |
 //! | `attention`, `attention_form` | name of the output; `logit`, `probability` | vanilla, adaptive in the runtime |
 //! | `slope` | name of the output `[1, classes, h, w]`, logits | adaptive in the runtime |
-//! | `slope_angles_deg` | one angle per class, degrees, ascending | as above |
+//! | `slope_angles_deg` | one angle per class, degrees, ascending: 1 to 64, within 30 either way | as above |
 //! | `slope_sign` | `downhill_positive` (paper, Eq. 6), `uphill_positive` | as above |
 //! | `slope_order` | `softmax_then_upsample`, `upsample_then_softmax` | as above |
 //! | `upsampling` | `half_pixel`, `align_corners` | fusion in the runtime |
-//! | `depth_range_m` | `MIN,MAX` of the depth, metres; ground beyond `MAX` counts as none | all |
+//! | `depth_range_m` | `MIN,MAX` of the depth, metres, `0 < MIN < MAX`; ground beyond `MAX` counts as none | all |
 //! | `stride` | input pixels per pixel of the heads; for people, the outputs tell | optional |
 //! | `network`, `training` | one line of text each | optional |
+//!
+//! Entries of a head that the mode does not have are refused.
 //!
 //! `f` is the focal length `sqrt(fx fy)` in pixels of the network's input: `z / f` is what a pixel spans there, and what a thing of known
 //! size tells, whatever the lens.

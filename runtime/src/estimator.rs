@@ -50,7 +50,7 @@ pub struct Estimate<'a> {
     pub size: Size,
     /// Which part of the picture they cover.
     pub placement: Placement,
-    /// Planar depth, metres.
+    /// Planar depth, metres, within the contract's `depth_range_m`: its end for sky and what is farther.
     pub depth: &'a [f32],
     /// How long the stages took.
     pub times: StageTimes,
@@ -59,7 +59,7 @@ pub struct Estimate<'a> {
 /// The depth of a picture and what went into it, row-major from the top left.
 #[derive(Clone, Copy, Debug)]
 pub struct Maps<'a> {
-    /// Planar depth, metres.
+    /// As [`Estimate::depth`].
     pub depth: &'a [f32],
     /// Ground depth as the mode sees it, metres; 0 where there is none within the model's range.
     pub ground: &'a [f32],
@@ -93,7 +93,14 @@ pub struct Estimator {
 
 impl Estimator {
     /// Plans the model for pictures of `picture` pixels from this camera and builds its ground table: once per
-    /// calibration. `network_size` overrides the size that [`Placement::new`] chooses.
+    /// calibration. `network_size` overrides the size that [`Placement::new`] chooses: multiples of the contract's `size_multiple`, at
+    /// most 16384 a side and 2^24 pixels, or the size that the file is fixed to. Runs a made-up picture, so that later ones find all
+    /// memory mapped.
+    ///
+    /// # Errors
+    /// [`Error::PictureUnfit`] for a side above 16384 or proportions that the network does not take, [`Error::PictureSize`] where the
+    /// calibration is of another, [`Error::NetworkSize`], [`Error::Calibration`] where the camera does not fit that size,
+    /// [`Error::Engine`], [`Error::Model`] for what cannot be planned or run, or gives no finite depth.
     pub fn new(
         model: &Model,
         calibration: &Calibration,
@@ -210,6 +217,9 @@ impl Estimator {
     /// then, byte for byte, that of a new estimator whose calibration has this ground. Until a picture has run,
     /// [`Self::maps`] and [`Self::plausibility`] are the last one's heads over the new ground. Allocates nothing where the
     /// engine runs the whole network. Takes 2 to 3 % of the time of a picture, with a lens 7.
+    ///
+    /// # Errors
+    /// [`Error::Model`], after a fault in the engine that a run told of.
     pub fn set_ground(&mut self, ground: &Ground) -> Result<(), Error> {
         self.ground = *ground;
         let set = [&mut self.network_ground, &mut self.output_ground].map(|g| g.set(ground));
@@ -266,6 +276,9 @@ impl Estimator {
 
     /// What the last picture (before the first, a made-up one) says about the calibration. Makes
     /// [`Self::maps`]. Allocates nothing.
+    ///
+    /// # Errors
+    /// As [`Self::maps`].
     pub fn plausibility(&mut self) -> Result<Plausibility, Error> {
         self.maps()?;
         let row = self.scratch.first_mut().map_or(&mut [][..], |s| s);
@@ -281,6 +294,9 @@ impl Estimator {
 
     /// All maps of the last picture that ran (before the first, a made-up one). Most users want the depth alone, so ground
     /// and attention are made when asked for, by fusing once more. Allocates nothing where the engine runs the whole network.
+    ///
+    /// # Errors
+    /// [`Error::Model`] where the last run gave it.
     pub fn maps(&mut self) -> Result<Maps<'_>, Error> {
         if !self.all_maps_made {
             self.fuse(true)?;
@@ -293,7 +309,11 @@ impl Estimator {
         })
     }
 
-    /// Estimates the depth of a picture from this estimator's camera.
+    /// Estimates the depth of a picture from this estimator's camera. Allocates nothing where the engine runs the whole network.
+    ///
+    /// # Errors
+    /// [`Error::PictureSize`] for a picture of another size. [`Error::Model`] where a head has a value that is not finite; or for a fault
+    /// in the engine, which then every later run gives.
     pub fn run(&mut self, picture: Picture<'_>) -> Result<Estimate<'_>, Error> {
         if picture.size() != self.picture {
             return Err(Error::PictureSize {

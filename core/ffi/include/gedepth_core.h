@@ -307,17 +307,17 @@ typedef struct gedepth_core_line {
 typedef struct gedepth_core_fusion {
   // GEDEPTH_CORE_HALF_PIXEL or GEDEPTH_CORE_ALIGN_CORNERS.
   uint32_t upsampling;
-  // Depth is clamped to at least this, metres.
+  // Depth is clamped to at least this, metres, above 0.
   float depth_min;
-  // Depth is clamped to at most this, metres.
+  // Depth is clamped to at most this, metres, finite and above depth_min.
   float depth_max;
-  // Ground farther than this counts as none, metres; not read by the baseline.
+  // Ground farther than this counts as none, metres, positive and finite; not read by the baseline.
   float ground_limit;
 } gedepth_core_fusion;
 
 // One output of a network: planes of width x height, row-major, one after the other (NCHW with N = 1).
 typedef struct gedepth_core_head {
-  // The values, of the format's type.
+  // The values, of the format's type; f32 ones within +-1e37.
   const void *values;
   // Their number, exactly channels * width * height.
   size_t values_len;
@@ -334,11 +334,11 @@ typedef struct gedepth_core_head {
   uint32_t unit;
   // GEDEPTH_CORE_DECODE_AT_HEAD or GEDEPTH_CORE_DECODE_AT_OUTPUT.
   uint32_t decode_at;
-  // Of 8-bit formats, positive; not read for GEDEPTH_CORE_F32.
+  // Of 8-bit formats, positive, 255 times it at most 1e37; not read for GEDEPTH_CORE_F32.
   float scale;
   // Of 8-bit formats; not read for GEDEPTH_CORE_F32.
   int32_t zero_point;
-  // Of GEDEPTH_CORE_LOG_METRES_PER_PIXEL, sqrt(fx fy) of the network's input, pixels, positive; not read for others.
+  // Of GEDEPTH_CORE_LOG_METRES_PER_PIXEL, sqrt(fx fy) of the network's input, pixels, 0.01 to 1e7; not read for others.
   float focal_length;
 } gedepth_core_head;
 
@@ -535,7 +535,7 @@ int32_t gedepth_core_table_rebuild(const struct gedepth_core_camera *camera,
                                    size_t values_len,
                                    struct gedepth_core_ground *ground);
 
-// Writes the ground's depth in metres, 0 where there is none or where it is beyond max_depth: metres_len floats, exactly
+// Writes the ground's depth in metres, 0 where there is none or where it is beyond max_depth, which is finite: metres_len floats, exactly
 // width * height.
 int32_t gedepth_core_ground_depth(const struct gedepth_core_ground *ground,
                                   float max_depth,

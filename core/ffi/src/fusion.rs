@@ -50,7 +50,7 @@ pub const GEDEPTH_CORE_DECODE_AT_OUTPUT: u32 = 2;
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct gedepth_core_head {
-    /// The values, of the format's type.
+    /// The values, of the format's type; f32 ones within +-1e37.
     pub values: *const c_void,
     /// Their number, exactly channels * width * height.
     pub values_len: usize,
@@ -67,11 +67,11 @@ pub struct gedepth_core_head {
     pub unit: u32,
     /// GEDEPTH_CORE_DECODE_AT_HEAD or GEDEPTH_CORE_DECODE_AT_OUTPUT.
     pub decode_at: u32,
-    /// Of 8-bit formats, positive; not read for GEDEPTH_CORE_F32.
+    /// Of 8-bit formats, positive, 255 times it at most 1e37; not read for GEDEPTH_CORE_F32.
     pub scale: f32,
     /// Of 8-bit formats; not read for GEDEPTH_CORE_F32.
     pub zero_point: i32,
-    /// Of GEDEPTH_CORE_LOG_METRES_PER_PIXEL, sqrt(fx fy) of the network's input, pixels, positive; not read for others.
+    /// Of GEDEPTH_CORE_LOG_METRES_PER_PIXEL, sqrt(fx fy) of the network's input, pixels, 0.01 to 1e7; not read for others.
     pub focal_length: f32,
 }
 
@@ -81,11 +81,11 @@ pub struct gedepth_core_head {
 pub struct gedepth_core_fusion {
     /// GEDEPTH_CORE_HALF_PIXEL or GEDEPTH_CORE_ALIGN_CORNERS.
     pub upsampling: u32,
-    /// Depth is clamped to at least this, metres.
+    /// Depth is clamped to at least this, metres, above 0.
     pub depth_min: f32,
-    /// Depth is clamped to at most this, metres.
+    /// Depth is clamped to at most this, metres, finite and above depth_min.
     pub depth_max: f32,
-    /// Ground farther than this counts as none, metres; not read by the baseline.
+    /// Ground farther than this counts as none, metres, positive and finite; not read by the baseline.
     pub ground_limit: f32,
 }
 

@@ -350,7 +350,7 @@ pub unsafe extern "C" fn gedepth_core_table_rebuild(
     })())
 }
 
-/// Writes the ground's depth in metres, 0 where there is none or where it is beyond max_depth: metres_len floats, exactly
+/// Writes the ground's depth in metres, 0 where there is none or where it is beyond max_depth, which is finite: metres_len floats, exactly
 /// width * height.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_core_ground_depth(

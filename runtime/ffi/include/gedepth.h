@@ -75,7 +75,7 @@
 // ITU-R BT.709, 0 to 255.
 #define GEDEPTH_YUV_BT709_FULL 3
 
-// The fastest kernels that this processor has.
+// The fastest kernels that this processor has; tract where they would be the portable ones.
 #define GEDEPTH_KERNEL_BEST 0
 
 // tract, the reference: slower; its number of threads is one.
@@ -141,7 +141,7 @@
 // A fault of this library, caught. A camera that it happened in gives this ever after: close it.
 #define GEDEPTH_PANICKED 35
 
-// A picture's bytes are not as many as its size and stride need, or its stride is shorter than a row.
+// A picture's bytes are fewer than its size and stride need, or its stride is shorter than a row.
 #define GEDEPTH_PICTURE_LENGTH 36
 
 // A path is not UTF-8, on a system where it must be.
@@ -263,7 +263,8 @@ typedef struct gedepth_calibration {
 
 // How a camera is opened; all zeros is the usual.
 typedef struct gedepth_options {
-  // Columns of the network's input; with network_height 0, the usual of the model and the picture's proportions.
+  // Columns of the network's input; with network_height 0, the usual of the model and the picture's proportions. Both are
+  // multiples of what the model asks for (32 of the shipped ones), at most 16384, and 2^24 pixels; or what the file is fixed to.
   uint32_t network_width;
   // Rows of the network's input.
   uint32_t network_height;
@@ -342,7 +343,7 @@ typedef struct gedepth_map {
 
 // What a run is to write. Every map may be null. Ground or attention take a second fusion, in the time for copying.
 typedef struct gedepth_maps {
-  // Planar depth, metres: z in the camera's frame.
+  // Planar depth, metres: z in the camera's frame. Within the model's range, never 0: its end for sky and what is farther.
   struct gedepth_map depth;
   // Ground depth as the model sees it, metres; 0 where there is none within the model's range.
   struct gedepth_map ground;
@@ -432,7 +433,8 @@ uint32_t gedepth_abi_version(void);
 const char *gedepth_version(void);
 
 // Reads a calibration file and checks it: this project's JSON, or KITTI's (object, tracking, odometry; of raw the path of
-// calib_cam_to_cam.txt, beside which calib_velo_to_cam.txt is). `path` ends with a zero. Where the file has no size of
+// calib_cam_to_cam.txt, beside which calib_velo_to_cam.txt is). KITTI's do not say where the ground is: it is 1.65 m below the
+// LiDAR then, and the camera is number 2. `path` ends with a zero. Where the file has no size of
 // pictures (KITTI but raw), width and height are 0, for the caller to fill in.
 int32_t gedepth_calibration_read(const char *path,
                                  struct gedepth_calibration *calibration);
@@ -451,7 +453,7 @@ int32_t gedepth_camera_shape(const struct gedepth_camera *camera, struct gedepth
 
 // Estimates the depth of a picture and writes the maps that are not null. `times` may be null. Where the run takes longer
 // than `deadline_ns` (0 is none) the result is GEDEPTH_DEADLINE, with everything written; a run is never cut short. After
-// any other result but GEDEPTH_OK nothing was written. Allocates nothing.
+// any other result but GEDEPTH_OK nothing was written. Allocates nothing where the quantized engine runs the whole network.
 int32_t gedepth_camera_run(struct gedepth_camera *camera,
                            const struct gedepth_picture *picture,
                            const struct gedepth_maps *maps,

@@ -113,8 +113,8 @@ class Camera {
   // The values of a map without padding.
   std::size_t map_len() const noexcept { return std::size_t{shape_.map_width} * shape_.map_height; }
 
-  // Writes the maps that are not null; false if that took longer than `deadline_ns` (0 is none). Allocates nothing unless
-  // it throws.
+  // Writes the maps that are not null; false if that took longer than `deadline_ns` (0 is none). Where the quantized engine runs
+  // the whole network it allocates nothing unless it throws.
   bool run(const gedepth_picture& picture, const gedepth_maps& maps, std::uint64_t deadline_ns = 0,
            gedepth_times* times = nullptr) {
     const std::int32_t result = gedepth_camera_run(camera_.get(), &picture, &maps, deadline_ns, times);

@@ -146,7 +146,8 @@ impl From<Numbers> for gedepth_calibration {
 }
 
 /// Reads a calibration file and checks it: this project's JSON, or KITTI's (object, tracking, odometry; of raw the path of
-/// calib_cam_to_cam.txt, beside which calib_velo_to_cam.txt is). `path` ends with a zero. Where the file has no size of
+/// calib_cam_to_cam.txt, beside which calib_velo_to_cam.txt is). KITTI's do not say where the ground is: it is 1.65 m below the
+/// LiDAR then, and the camera is number 2. `path` ends with a zero. Where the file has no size of
 /// pictures (KITTI but raw), width and height are 0, for the caller to fill in.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_calibration_read(

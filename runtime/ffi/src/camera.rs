@@ -32,7 +32,8 @@ const MAX_RUNS: u32 = 1_000_000;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct gedepth_options {
-    /// Columns of the network's input; with network_height 0, the usual of the model and the picture's proportions.
+    /// Columns of the network's input; with network_height 0, the usual of the model and the picture's proportions. Both are
+    /// multiples of what the model asks for (32 of the shipped ones), at most 16384, and 2^24 pixels; or what the file is fixed to.
     pub network_width: u32,
     /// Rows of the network's input.
     pub network_height: u32,
@@ -145,7 +146,7 @@ pub struct gedepth_map {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct gedepth_maps {
-    /// Planar depth, metres: z in the camera's frame.
+    /// Planar depth, metres: z in the camera's frame. Within the model's range, never 0: its end for sky and what is farther.
     pub depth: gedepth_map,
     /// Ground depth as the model sees it, metres; 0 where there is none within the model's range.
     pub ground: gedepth_map,
@@ -562,7 +563,7 @@ pub unsafe extern "C" fn gedepth_camera_shape(
 
 /// Estimates the depth of a picture and writes the maps that are not null. `times` may be null. Where the run takes longer
 /// than `deadline_ns` (0 is none) the result is GEDEPTH_DEADLINE, with everything written; a run is never cut short. After
-/// any other result but GEDEPTH_OK nothing was written. Allocates nothing.
+/// any other result but GEDEPTH_OK nothing was written. Allocates nothing where the quantized engine runs the whole network.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn gedepth_camera_run(
     camera: *mut gedepth_camera,

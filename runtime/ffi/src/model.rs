@@ -10,7 +10,7 @@ use crate::result::{
     Failure, GEDEPTH_KERNEL_NOT_SUPPORTED, GEDEPTH_THREADS, GEDEPTH_UNKNOWN_CHOICE, Result, guarded,
 };
 
-/// The fastest kernels that this processor has.
+/// The fastest kernels that this processor has; tract where they would be the portable ones.
 pub const GEDEPTH_KERNEL_BEST: u32 = 0;
 /// tract, the reference: slower; its number of threads is one.
 pub const GEDEPTH_KERNEL_TRACT: u32 = 1;

@@ -121,7 +121,7 @@ pub const GEDEPTH_NO_ATTENTION: i32 = 33;
 pub const GEDEPTH_BUSY: i32 = 34;
 /// A fault of this library, caught. A camera that it happened in gives this ever after: close it.
 pub const GEDEPTH_PANICKED: i32 = 35;
-/// A picture's bytes are not as many as its size and stride need, or its stride is shorter than a row.
+/// A picture's bytes are fewer than its size and stride need, or its stride is shorter than a row.
 pub const GEDEPTH_PICTURE_LENGTH: i32 = 36;
 /// A path is not UTF-8, on a system where it must be.
 pub const GEDEPTH_PATH: i32 = 37;

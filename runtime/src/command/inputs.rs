@@ -14,7 +14,7 @@ pub(crate) struct Inputs {
     /// PNG or JPEG file, as the camera made it: unscaled and uncropped
     picture: PathBuf,
     /// Calibration: this project's JSON file; KITTI object, tracking or odometry; or KITTI raw's calib_cam_to_cam.txt,
-    /// with calib_velo_to_cam.txt beside it
+    /// with calib_velo_to_cam.txt beside it. Of KITTI's it is camera 2, over a ground 1.65 m below the LiDAR
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
     /// ONNX file with a gedepth contract [default: a quantized adaptive model inside the program]

@@ -22,7 +22,8 @@ const OUTPUTS: [&str; 4] = [
 ///
 /// Grey, 16-bit and CMYK pictures are converted to RGB; transparency, and the orientation that a file may ask for, are ignored.
 ///
-/// Writes into DIR: depth.png (16 bits, metres x 256, 0 = none: KITTI's convention), depth_colours.png (with a scale
+/// Writes into DIR: depth.png (16 bits, metres x 256, as KITTI's; every pixel has a depth, held within the model's range: sky and what is
+/// farther read its end), depth_colours.png (with a scale
 /// bar), ground.png (depth of the ground as the network's mode sees it, in the same colours; of a model that fuses within its graph the
 /// plane's) and attention.png (white where the ground is trusted; a model without that output, as a baseline, removes an older one). depth.png and attention.png have
 /// the picture's size; where the model crops, or --network-size has other proportions, the crop's; the scale bar makes the
